@@ -1,0 +1,1 @@
+"""The modelled world: robot, kinematics, scanner, part and collision scene."""

@@ -1,0 +1,1 @@
+"""Planning algorithms on arrays and cell objects."""

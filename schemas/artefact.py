@@ -1,0 +1,126 @@
+"""The base of all artefacts: immutable, typed, self-describing values that stages hand to each other.
+
+An artefact checks its own arrays when it is made (dtype, width, equal lengths within a table) and freezes
+them. Its digest is a hash of the content alone: field names, dtypes, shapes and values, never file bytes.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import struct
+from typing import Any, ClassVar
+
+import numpy as np
+
+from cellwright.arrays import AnyArray
+from cellwright.errors import InvalidInputError
+from schemas.columns import ANY_WIDTH, FieldSpec, spec_of
+
+_KINDS: dict[str, type[Artefact]] = {}
+
+
+class Artefact:
+    """Base class; subclasses are ``@dataclass(frozen=True, eq=False)`` with a ``KIND`` and declared fields.
+
+    Raises:
+        InvalidInputError: If an array does not fit its declaration.
+    """
+
+    KIND: ClassVar[str]
+
+    def __init_subclass__(cls, **kwargs: Any) -> None:
+        super().__init_subclass__(**kwargs)
+        known = _KINDS.setdefault(cls.KIND, cls)
+        if known.__qualname__ != cls.__qualname__:
+            raise TypeError(f"artefact kind {cls.KIND!r} is declared by {known.__name__} and {cls.__name__}")
+
+    def __post_init__(self) -> None:
+        lengths: dict[str, int] = {}
+        for name, spec in specs(type(self)).items():
+            value = getattr(self, name)
+            object.__setattr__(self, name, _checked(f"{self.KIND}.{name}", spec, value, lengths))
+
+    def __repr__(self) -> str:
+        lengths = {spec.table: len(getattr(self, name)) for name, spec in columns(type(self)).items()}
+        shown = ", ".join(f"{table}: {length}" for table, length in lengths.items())
+        return f"{type(self).__name__}({shown})"
+
+
+def specs(kind: type[Artefact]) -> dict[str, FieldSpec]:
+    """Return the declared fields of an artefact class in order."""
+    return {
+        field.name: spec
+        for field in dataclasses.fields(kind)  # type: ignore[arg-type]  # every subclass is a dataclass
+        if (spec := spec_of(field)) is not None
+    }
+
+
+def columns(kind: type[Artefact]) -> dict[str, FieldSpec]:
+    """Return the declared columns of an artefact class in order."""
+    return {name: spec for name, spec in specs(kind).items() if spec.role == "column"}
+
+
+def artefact_class(kind: str) -> type[Artefact]:
+    """Look an artefact class up by its kind.
+
+    Raises:
+        InvalidInputError: If no such kind is declared.
+    """
+    if kind not in _KINDS:
+        raise InvalidInputError(f"unknown artefact kind {kind!r}: this lake was written by another version")
+    return _KINDS[kind]
+
+
+def digest(artefact: Artefact) -> str:
+    """Return the SHA-256 (hex) of an artefact's content."""
+    sha = hashlib.sha256(artefact.KIND.encode())
+    for name, spec in specs(type(artefact)).items():
+        value = getattr(artefact, name)
+        sha.update(f"\0{name}\0{spec.dtype}\0".encode())
+        if isinstance(value, np.ndarray):
+            sha.update(repr(value.shape).encode())
+            sha.update(np.ascontiguousarray(value).data)
+        else:
+            sha.update(_scalar_bytes(value))
+    return sha.hexdigest()
+
+
+def _scalar_bytes(value: object) -> bytes:
+    if isinstance(value, tuple):
+        return b"".join(struct.pack("<q", len(raw)) + raw for raw in (str(item).encode() for item in value))
+    if isinstance(value, bytes):
+        return value
+    if isinstance(value, float):
+        return struct.pack("<d", value)
+    return repr(value).encode()
+
+
+def _checked(name: str, spec: FieldSpec, value: Any, lengths: dict[str, int]) -> Any:
+    if spec.role == "blob":
+        if not isinstance(value, bytes):
+            raise InvalidInputError(f"{name} must be bytes, not {type(value).__name__}")
+        return value
+    if spec.role == "fact":
+        return {"str": str, "bool": bool}.get(spec.dtype, float if "float" in spec.dtype else int)(value)
+    checked: tuple[str, ...] | AnyArray
+    checked = tuple(str(item) for item in value) if spec.dtype == "str" else _frozen(name, spec, value)
+    length = lengths.setdefault(spec.table, len(checked))
+    if len(checked) != length:
+        raise InvalidInputError(f"{name} has {len(checked)} rows but table {spec.table!r} has {length}")
+    return checked
+
+
+def _frozen(name: str, spec: FieldSpec, value: Any) -> AnyArray:
+    given = np.asarray(value)
+    wanted = np.dtype(spec.dtype)
+    if given.dtype != wanted and not np.can_cast(given.dtype, wanted, casting="same_kind"):
+        raise InvalidInputError(f"{name} has dtype {given.dtype}, which does not fit {wanted}")
+    array = np.ascontiguousarray(given, dtype=wanted)
+    if spec.width is None and array.ndim != 1:
+        raise InvalidInputError(f"{name} has shape {array.shape}, not (rows,)")
+    if spec.width is not None and (array.ndim != 2 or spec.width not in (ANY_WIDTH, array.shape[1])):
+        raise InvalidInputError(f"{name} has shape {array.shape}, not (rows, {spec.width})")
+    view = array.view()
+    view.flags.writeable = False
+    return view
