@@ -57,9 +57,7 @@ def column(
 
     ``dtype="str"`` declares a tuple of strings.
     """
-    return dataclasses.field(
-        metadata={_KEY: FieldSpec("column", dtype, width, unit, frame, meaning, table, "")}
-    )
+    return dataclasses.field(metadata={_KEY: FieldSpec("column", dtype, width, unit, frame, meaning, table, "")})
 
 
 def fact(meaning: str, *, dtype: str = "float64", unit: str = "") -> Any:

@@ -22,9 +22,7 @@ class Trajectory(Artefact):
     time_s: FloatArray = column("Time since the start", unit="s", table="states")
     position_rad: FloatArray = column("Joint positions", width=ANY_WIDTH, unit="rad", table="states")
     velocity_rad_s: FloatArray = column("Joint velocities", width=ANY_WIDTH, unit="rad/s", table="states")
-    acceleration_rad_s2: FloatArray = column(
-        "Joint accelerations", width=ANY_WIDTH, unit="rad/s^2", table="states"
-    )
+    acceleration_rad_s2: FloatArray = column("Joint accelerations", width=ANY_WIDTH, unit="rad/s^2", table="states")
     segment: Int32Array = column("Segment that the state belongs to", dtype="int32", table="states")
     travel_m: FloatArray = column("Travel along the sweep; NaN on a connection", unit="m", table="states")
     kind: tuple[str, ...] = column("sweep or connection", dtype="str", table="segments")
@@ -40,12 +38,8 @@ class Trajectory(Artefact):
     via: tuple[str, ...] = column(
         "How a connection was found: direct or roadmap; empty on a sweep", dtype="str", table="segments"
     )
-    order_method: tuple[str, ...] = column(
-        "greedy, exact, ...: orders that were compared", dtype="str", table="orders"
-    )
-    order_duration_s: FloatArray = column(
-        "Duration of the whole plan in that order", unit="s", table="orders"
-    )
+    order_method: tuple[str, ...] = column("greedy, exact, ...: orders that were compared", dtype="str", table="orders")
+    order_duration_s: FloatArray = column("Duration of the whole plan in that order", unit="s", table="orders")
     order_chosen: BoolArray = column("Whether this order is the plan", dtype="bool", table="orders")
 
 
@@ -55,9 +49,7 @@ class ScanCloud(Artefact):
 
     KIND: ClassVar[str] = "scan-cloud"
 
-    points_m: Float32Array = column(
-        "Measured points", dtype="float32", width=3, unit="m", frame="part", table="points"
-    )
+    points_m: Float32Array = column("Measured points", dtype="float32", width=3, unit="m", frame="part", table="points")
     uncertainty_m: Float32Array = column(
         "Predicted uncertainty of the point", dtype="float32", unit="m", table="points"
     )
@@ -119,12 +111,8 @@ class Recording(Artefact):
         frame="entity_frame",
         table="triangles",
     )
-    cloud_time_ns: IntArray = column(
-        "Time at which the point is shown", dtype="int64", unit="ns", table="cloud"
-    )
+    cloud_time_ns: IntArray = column("Time at which the point is shown", dtype="int64", unit="ns", table="cloud")
     cloud_point_m: Float32Array = column(
         "Measured points", dtype="float32", width=3, unit="m", frame="part", table="cloud"
     )
-    cloud_uncertainty_m: Float32Array = column(
-        "Predicted uncertainty", dtype="float32", unit="m", table="cloud"
-    )
+    cloud_uncertainty_m: Float32Array = column("Predicted uncertainty", dtype="float32", unit="m", table="cloud")

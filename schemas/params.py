@@ -15,9 +15,7 @@ class Params(BaseModel):
     the recipe's key.
     """
 
-    model_config = ConfigDict(
-        frozen=True, extra="forbid", validate_default=True, allow_inf_nan=False, strict=False
-    )
+    model_config = ConfigDict(frozen=True, extra="forbid", validate_default=True, allow_inf_nan=False, strict=False)
 
     def canonical(self) -> dict[str, Any]:
         """Return the keyed fields as plain JSON values, after validation, so that ``1`` and ``1.0`` are one."""

@@ -17,9 +17,7 @@ class PartMesh(Artefact):
     KIND: ClassVar[str] = "part-mesh"
 
     vertices_m: FloatArray = column("Vertices", width=3, unit="m", frame="part", table="vertices")
-    faces: Int32Array = column(
-        "Triangles, outward by the right-hand rule", dtype="int32", width=3, table="faces"
-    )
+    faces: Int32Array = column("Triangles, outward by the right-hand rule", dtype="int32", width=3, table="faces")
     normals: FloatArray = column("Outward unit normals of the faces", width=3, frame="part", table="faces")
     areas_m2: FloatArray = column("Face areas", unit="m^2", table="faces")
     to_measure: BoolArray = column(

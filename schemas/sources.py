@@ -67,9 +67,7 @@ class CellModel(Artefact):
     n_vertices: Int32Array = column("Vertices of a mesh body", dtype="int32", table="bodies")
     first_face: Int32Array = column("First face of a mesh body", dtype="int32", table="bodies")
     n_faces: Int32Array = column("Faces of a mesh body", dtype="int32", table="bodies")
-    vertices_m: FloatArray = column(
-        "Mesh vertices of all bodies", width=3, unit="m", frame="body", table="vertices"
-    )
+    vertices_m: FloatArray = column("Mesh vertices of all bodies", width=3, unit="m", frame="body", table="vertices")
     faces: Int32Array = column(
         "Triangles of all bodies, counted from the body's first vertex", dtype="int32", width=3, table="faces"
     )

@@ -30,9 +30,7 @@ class Viewpoints(Artefact):
     delta_rot_rad: FloatArray = column("Rotation about the viewing axis z", unit="rad", table="views")
     theta_tilt_rad: FloatArray = column("Tilt about x", unit="rad", table="views")
     psi_tilt_rad: FloatArray = column("Tilt about y", unit="rad", table="views")
-    standoff_m: FloatArray = column(
-        "Distance from the sample along the viewing axis", unit="m", table="views"
-    )
+    standoff_m: FloatArray = column("Distance from the sample along the viewing axis", unit="m", table="views")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -83,9 +81,7 @@ class Reachability(Artefact):
         dtype="int32",
         table="views",
     )
-    body: tuple[str, ...] = column(
-        "Names of the bodies in the cell, the part last", dtype="str", table="bodies"
-    )
+    body: tuple[str, ...] = column("Names of the bodies in the cell, the part last", dtype="str", table="bodies")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -97,9 +93,7 @@ class ViewSelection(Artefact):
     view: Int32Array = column("Selected view (row of the viewpoints)", dtype="int32", table="views")
     n_samples: Int32Array = column("Samples that it measures", dtype="int32", table="views")
     n_only: Int32Array = column("Samples that it alone measures", dtype="int32", table="views")
-    max_uncertainty_m: FloatArray = column(
-        "Worst uncertainty of the samples assigned to it", unit="m", table="views"
-    )
+    max_uncertainty_m: FloatArray = column("Worst uncertainty of the samples assigned to it", unit="m", table="views")
     cause: Int8Array = column(
         "Why the sample is not measured by the selection, `Cause`; 0 if it is", dtype="int8", table="samples"
     )

@@ -44,6 +44,4 @@ class Scanner:
 
         Quadratic in the standoff (m, along z), reciprocal to the cosine of the incidence angle at the emitter.
         """
-        return np.asarray(
-            (self.uncertainty_constant + self.uncertainty_quadratic * standoff**2) / cos_incidence
-        )
+        return np.asarray((self.uncertainty_constant + self.uncertainty_quadratic * standoff**2) / cos_incidence)

@@ -1,0 +1,1 @@
+"""The stages: one a module. This table of contents is what flows import."""
