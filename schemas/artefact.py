@@ -88,9 +88,10 @@ def digest(artefact: Artefact) -> str:
 
 def _scalar_bytes(value: object) -> bytes:
     if isinstance(value, tuple):
-        return b"".join(struct.pack("<q", len(raw)) + raw for raw in (str(item).encode() for item in value))
+        texts = [str(item).encode() for item in value]
+        return struct.pack("<q", len(texts)) + b"".join(struct.pack("<q", len(raw)) + raw for raw in texts)
     if isinstance(value, bytes):
-        return value
+        return struct.pack("<q", len(value)) + value
     if isinstance(value, float):
         return struct.pack("<d", value)
     return repr(value).encode()

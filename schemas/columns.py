@@ -60,9 +60,10 @@ def column(
     return dataclasses.field(metadata={_KEY: FieldSpec("column", dtype, width, unit, frame, meaning, table, "")})
 
 
-def fact(meaning: str, *, dtype: str = "float64", unit: str = "") -> Any:
-    """Declare a single value: float, int, bool or str."""
-    return dataclasses.field(metadata={_KEY: FieldSpec("fact", dtype, None, unit, "", meaning, "", "")})
+def fact(meaning: str, *, dtype: str = "float64", unit: str = "", default: Any = dataclasses.MISSING) -> Any:
+    """Declare a single value: float, int, bool or str; without ``default`` it must be given."""
+    spec = FieldSpec("fact", dtype, None, unit, "", meaning, "", "")
+    return dataclasses.field(default=default, metadata={_KEY: spec})
 
 
 def blob(meaning: str, *, suffix: str) -> Any:

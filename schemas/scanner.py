@@ -50,3 +50,10 @@ class ScannerParams(Params):
             profile_rate=self.profile_rate_hz,
             points_per_profile=self.points_per_profile,
         )
+
+
+class SensingParams(Params):
+    """What counts as measured: shared by every stage that asks; defaults as in Kaiser 2021, Table 2."""
+
+    scanner: ScannerParams = Field(default=ScannerParams(), description="The sensor model.")
+    max_uncertainty_m: float = Field(default=100e-6, gt=0, description="Largest permitted measurement uncertainty.")

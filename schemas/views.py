@@ -82,6 +82,10 @@ class Reachability(Artefact):
         table="views",
     )
     body: tuple[str, ...] = column("Names of the bodies in the cell, the part last", dtype="str", table="bodies")
+    n_exact_checks: int = fact("States that the exact collision engine was asked about", dtype="int64", default=0)
+    n_unsettled: int = fact(
+        "Views whose best piece might be better had the limit on exact checks been higher", dtype="int64", default=0
+    )
 
 
 @dataclass(frozen=True, eq=False, repr=False)

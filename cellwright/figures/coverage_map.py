@@ -1,0 +1,107 @@
+"""The coverage of a part as a picture and as an interactive 3D view: what was measured, what was missed and why."""
+
+from __future__ import annotations
+
+import io
+import math
+
+import numpy as np
+
+from cellwright.arrays import BoolArray, FloatArray, Int8Array, Int32Array
+from cellwright.causes import Cause
+from cellwright.figures.surface_view import Camera, cast_picture, paint
+
+CAUSE_COLOURS: dict[Cause, str] = {
+    Cause.NONE: "#2a9d5c",
+    Cause.FIELD_OF_VIEW: "#7b5ea7",
+    Cause.INCIDENCE: "#5468c4",
+    Cause.UNCERTAINTY: "#3fa7d6",
+    Cause.EMITTER_OCCLUDED: "#a63d2f",
+    Cause.DETECTOR_OCCLUDED: "#d1495b",
+    Cause.OUT_OF_REACH: "#8d6a3f",
+    Cause.JOINT_LIMIT: "#b58b4c",
+    Cause.COLLISION: "#e07a1f",
+    Cause.JOINT_SPEED: "#c9a227",
+    Cause.TOO_SHORT: "#6c757d",
+    Cause.NOT_SELECTED: "#e9c46a",
+    Cause.NOT_SCANNED: "#f4d35e",
+}
+"""One colour a cause, the same in every picture."""
+
+NOT_TO_MEASURE = "#c9ccd1"
+"""Colour of faces that need not be measured."""
+
+
+def rgb(colour: str) -> tuple[float, float, float]:
+    """Turn ``#rrggbb`` into three numbers from 0 to 1."""
+    return int(colour[1:3], 16) / 255, int(colour[3:5], 16) / 255, int(colour[5:7], 16) / 255
+
+
+def coverage_picture(
+    vertices: FloatArray,
+    faces: Int32Array,
+    to_measure: BoolArray,
+    points: FloatArray,
+    cause: Int8Array,
+    *,
+    title: str,
+    spacing: float,
+) -> bytes:
+    """Render the part from four sides, coloured by the nearest cloud point's cause, as PNG bytes.
+
+    Args:
+        vertices: Part vertices in m, (n, 3); faces: (m, 3); to_measure: flag a face, (m,).
+        points: Cloud points in m, (k, 3), with their ``cause`` (k,).
+        title: Heading of the picture.
+        spacing: Typical distance between cloud points in m; pixels further from any point stay grey.
+    """
+    from scipy.spatial import cKDTree
+
+    tree = cKDTree(points)
+    palette = np.array([rgb(CAUSE_COLOURS[cause]) for cause in Cause])
+    views = []
+    for azimuth, elevation in [(-60, 28), (120, 28), (30, 28), (-150, -28)]:
+        hits = cast_picture(vertices, faces, Camera(math.radians(azimuth), math.radians(elevation)))
+        colours = np.tile(np.array(rgb(NOT_TO_MEASURE)), (*hits.hit.shape, 1))
+        wanted = hits.hit & to_measure[hits.face]
+        distance, nearest = tree.query(hits.point[wanted], distance_upper_bound=4 * spacing)
+        near = np.isfinite(distance)
+        found = colours[wanted]
+        found[near] = palette[cause[nearest[near]]]
+        colours[wanted] = found
+        views.append(paint(hits, colours))
+    return _sheet(views, cause, title)
+
+
+def _sheet(views: list[FloatArray], cause: Int8Array, title: str) -> bytes:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+    from matplotlib.patches import Patch
+
+    figure = Figure(figsize=(11, 10.2), dpi=110, layout="constrained")
+    FigureCanvasAgg(figure)
+    for place, view in enumerate(views):
+        axes = figure.add_subplot(2, 2, place + 1)
+        axes.imshow(view)
+        axes.set_axis_off()
+    counts = np.bincount(cause, minlength=len(Cause))
+    handles = [
+        Patch(color=CAUSE_COLOURS[which], label=f"{_label(which)}: {counts[which] / len(cause):.2%}")
+        for which in Cause
+        if counts[which]
+    ]
+    handles.append(Patch(color=NOT_TO_MEASURE, label="not to be measured"))
+    figure.suptitle(title, fontsize=15)
+    figure.legend(handles=handles, loc="outside lower center", ncols=3, frameon=False, fontsize=11)
+    return png_bytes(figure)
+
+
+def _label(cause: Cause) -> str:
+    return "measured" if cause is Cause.NONE else cause.label
+
+
+def png_bytes(figure: object) -> bytes:
+    """Return a matplotlib figure as PNG bytes without date or version, so that equal figures are equal bytes."""
+    stream = io.BytesIO()
+    figure.savefig(stream, format="png", metadata={"Software": None})  # type: ignore[attr-defined]  # Figure, lazily
+    return stream.getvalue()

@@ -1,0 +1,156 @@
+"""Timed, collision-free motions between the ends of sweeps, found when asked for and remembered.
+
+The straight joint motion if it is free, with its closed-form duration; else a path of the roadmap, shortened,
+rounded and timed. Searching checks collisions in coarse steps; before a connection is used it is confirmed in
+steps so small that no point of the robot moves further than a bound. If that fails it is sought again in steps
+of a quarter.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from cellwright.arrays import FloatArray
+from cellwright.solvers.hermite import states_at
+from cellwright.solvers.motion_steps import MovingCorners, dense_times
+from cellwright.solvers.path_smoothing import round_corners, shorten
+from cellwright.solvers.path_timing import Limits, TimedMotion, time_path, time_straight
+from cellwright.solvers.roadmap import CollisionChecker, Roadmap
+
+REFINEMENTS = 3
+"""Times that the search step is cut to a quarter before a connection is given up."""
+
+
+@dataclass(frozen=True)
+class ConnectionSteps:
+    """How finely `Connections` looks.
+
+    Attributes:
+        search: Largest joint turn between checked states while searching, rad.
+        sample: Time between states, s.
+        confirm, confirm_angle: Furthest motion of any point (m), largest joint turn (rad) while confirming.
+        n_shortenings: Attempts to shorten a path.
+    """
+
+    search: float
+    sample: float
+    confirm: float
+    confirm_angle: float
+    n_shortenings: int = 30
+
+
+@dataclass(frozen=True, eq=False)
+class Connection:
+    """A motion between two configurations and how it was found: ``direct`` or ``roadmap``."""
+
+    motion: TimedMotion
+    via: str
+
+
+class Connections:
+    """All connections asked for so far, in both directions."""
+
+    def __init__(
+        self,
+        checker: CollisionChecker,
+        roadmap: Roadmap,
+        corners: MovingCorners,
+        limits: Limits,
+        steps: ConnectionSteps,
+        rng: np.random.Generator,
+    ) -> None:
+        self._checker, self._roadmap, self._corners = checker, roadmap, corners
+        self._limits, self._steps, self._rng = limits, steps, rng
+        self._found: dict[tuple[bytes, bytes], Connection | None] = {}
+        self._confirmed: set[tuple[bytes, bytes]] = set()
+
+    def duration(self, q_a: FloatArray, q_b: FloatArray) -> float:
+        """Return the duration of the connection in s, infinite if none was found."""
+        found = self._of(q_a, q_b)
+        return np.inf if found is None else found.motion.duration
+
+    def between(self, q_a: FloatArray, q_b: FloatArray) -> Connection | None:
+        """Return the connection from ``q_a`` to ``q_b``, ``None`` if none was found."""
+        found = self._of(q_a, q_b)
+        if found is None or _key(q_a, q_b)[1]:
+            return found
+        return Connection(found.motion.reversed(), found.via)
+
+    def confirm(self, q_a: FloatArray, q_b: FloatArray) -> bool:
+        """Check the connection in small steps; return whether it was free, else replace it by another or none."""
+        key, _ = _key(q_a, q_b)
+        if key in self._confirmed:
+            return True
+        found = self._of(q_a, q_b)
+        refinement = 0
+        while found is not None and not self._is_free(found.motion):
+            refinement += 1
+            found = None
+            if refinement <= REFINEMENTS:
+                found = self._find(*_ordered(q_a, q_b), self._steps.search * 0.25**refinement)
+        self._found[key] = found
+        self._confirmed.add(key)
+        return refinement == 0
+
+    def _is_free(self, motion: TimedMotion) -> bool:
+        steps = self._steps
+        return first_collision(self._checker, self._corners, motion, steps.confirm, steps.confirm_angle) is None
+
+    def _of(self, q_a: FloatArray, q_b: FloatArray) -> Connection | None:
+        key, _ = _key(q_a, q_b)
+        if key not in self._found:
+            self._found[key] = self._find(*_ordered(q_a, q_b), self._steps.search)
+        return self._found[key]
+
+    def _find(self, q_a: FloatArray, q_b: FloatArray, step: float) -> Connection | None:
+        path = self._roadmap.connect(q_a, q_b, step)
+        if path is None:
+            return None
+        sample = self._steps.sample
+        if len(path) > 2:
+            speed = self._limits.velocity
+            path = shorten(path, speed, self._checker, self._rng, step=step, n_attempts=self._steps.n_shortenings)
+        if len(path) == 2:
+            return Connection(time_straight(q_a, q_b, self._limits, sample), "direct")
+        pieces = round_corners(path, self._limits.velocity, self._checker, step=step)
+        motions = [
+            time_straight(piece(piece.knots[:1])[0], piece(piece.knots[-1:])[0], self._limits, sample)
+            if len(piece.control) == 1
+            else time_path(piece, piece.grid(), self._limits, sample)
+            for piece in pieces
+        ]
+        motion = motions[0]
+        for following in motions[1:]:
+            motion = motion.then(following)
+        return Connection(motion, "roadmap")
+
+
+def first_collision(
+    checker: CollisionChecker, corners: MovingCorners, motion: TimedMotion, step: float, step_angle: float
+) -> tuple[float, FloatArray] | None:
+    """Return time and configuration of the first colliding state of a motion, ``None`` if it is free.
+
+    No point of the robot moves further than ``step`` m, no joint turns more than ``step_angle`` rad between two
+    checked states. Coordinates behind the joints are left out.
+    """
+    n_joints = corners.chain.n_joints
+    joints = replace(motion, position=motion.position[:, :n_joints], velocity=motion.velocity[:, :n_joints])
+    time = dense_times(joints, corners, step=step, step_angle=step_angle)
+    position, _ = states_at(joints.time, joints.position, joints.velocity, time)
+    for moment, q in zip(time, position, strict=True):
+        if checker.collides(q):
+            return float(moment), q
+    return None
+
+
+def _ordered(q_a: FloatArray, q_b: FloatArray) -> tuple[FloatArray, FloatArray]:
+    return (q_a, q_b) if _key(q_a, q_b)[1] else (q_b, q_a)
+
+
+def _key(q_a: FloatArray, q_b: FloatArray) -> tuple[tuple[bytes, bytes], bool]:
+    """Return one key for both directions, and whether this is the direction that is planned."""
+    a, b = q_a.tobytes(), q_b.tobytes()
+    forward = tuple(q_a.tolist()) <= tuple(q_b.tolist())
+    return ((a, b) if forward else (b, a)), forward

@@ -1,0 +1,283 @@
+"""Check a timed plan against everything it promises, with nothing of the planner but its result.
+
+The motion is read as what it is, the cubic Hermite curve through its states. Limits are checked at its exact
+extremes, at the stated values and by finite differences; scanner poses and collisions in steps so small that no
+point of the robot moves further than a bound (`cellwright.solvers.motion_steps`). Collisions are left to the
+engine that is handed in, which is not the planner's. Every check says what was found and what is permitted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from cellwright.arrays import FloatArray, Int32Array
+from cellwright.cell.cell import Cell
+from cellwright.cell.transforms import inverse
+from cellwright.errors import InfeasibleError, InvalidInputError, listed
+from cellwright.solvers.hermite import peak_acceleration, peak_velocity, position_extremes, states_at
+from cellwright.solvers.motion_steps import MovingCorners, dense_times, link_poses_of
+from cellwright.solvers.planned_sweep import PlannedSweep
+
+SAME_TIME = 1e-9
+"""Seconds within which two times are one."""
+STATES_PER_REPORT = 250
+
+
+class StateChecker(Protocol):
+    """What verification asks of a collision engine."""
+
+    def collision(self, q: FloatArray, /) -> tuple[str, str] | None:
+        """Return the names of two bodies that touch at ``q`` (joints,) in rad, ``None`` if none do."""
+        ...
+
+
+@dataclass(frozen=True)
+class Tolerances:
+    """What a plan may deviate, SI units, and how finely it is looked at.
+
+    Attributes:
+        step, step_angle: Furthest that any point of the robot moves, any joint turns between checked states.
+        limit_share: Share by which speed and acceleration limits may be exceeded.
+        joint_angle: Joint angle in rad, and joint speed in rad/s, that counts as none.
+        position, angle: Deviation of the scanner from its planned straight sweep.
+    """
+
+    step: float = 1e-3
+    step_angle: float = np.deg2rad(0.1)
+    limit_share: float = 0.01
+    joint_angle: float = 1e-6
+    position: float = 2e-4
+    angle: float = np.deg2rad(0.05)
+
+
+@dataclass(frozen=True, eq=False)
+class ExecutedSegment:
+    """One segment of the plan: the number of the planned sweep that it executes, -1 for a connection, and times."""
+
+    sweep: int
+    start: float
+    end: float
+
+
+@dataclass(frozen=True, eq=False)
+class TimedPlan:
+    """The states of a plan; shapes (states,) and (states, joints), SI units; ``travel`` is NaN off the sweeps."""
+
+    time: FloatArray
+    position: FloatArray
+    velocity: FloatArray
+    acceleration: FloatArray
+    segment: Int32Array
+    travel: FloatArray
+    segments: tuple[ExecutedSegment, ...]
+
+
+@dataclass(frozen=True)
+class Check:
+    """One check: the worst value found, the permitted one, and where the worst was found."""
+
+    name: str
+    found: float
+    permitted: float
+    unit: str
+    where: str = ""
+
+    @property
+    def passed(self) -> bool:
+        """Whether what was found is permitted; not a number is not."""
+        return self.found <= self.permitted
+
+
+def require(checks: Sequence[Check]) -> None:
+    """Raise if a check has failed.
+
+    Raises:
+        InfeasibleError: Naming the first failed check, where it failed and by how much.
+    """
+    failed = [check for check in checks if not check.passed]
+    if not failed:
+        return
+    worst = failed[0]
+    others = f"; {listed([check.name for check in failed[1:]])} failed too" if len(failed) > 1 else ""
+    raise InfeasibleError(
+        f"the plan fails its verification: {worst.name} is {worst.found:.6g} {worst.unit} where "
+        f"{worst.permitted:.6g} {worst.unit} is permitted{worst.where and ', ' + worst.where}{others}: "
+        "plan again with more clearance or lower limits, and do not run this plan"
+    )
+
+
+def check_order(plan: TimedPlan) -> list[Check]:
+    """Check that times rise, numbers are finite and segments follow each other without gaps.
+
+    Raises:
+        InvalidInputError: If the plan has fewer than two states or no segment.
+    """
+    if len(plan.time) < 2 or not plan.segments:
+        raise InvalidInputError(
+            f"the plan has {len(plan.time)} states and {len(plan.segments)} segments: nothing to run"
+        )
+    finite = np.isfinite(np.column_stack([plan.time, plan.position, plan.velocity, plan.acceleration])).all(axis=1)
+    falls = np.append(~(np.diff(plan.time) > 0.0), False)
+    bad = np.flatnonzero(~finite | falls)
+    where = f"at state {bad[0]}, {plan.time[bad[0]]:.3f} s" if len(bad) else ""
+    starts = np.array([segment.start for segment in plan.segments])
+    ends = np.array([segment.end for segment in plan.segments])
+    gaps = np.abs(np.concatenate([[starts[0] - plan.time[0]], starts[1:] - ends[:-1], [plan.time[-1] - ends[-1]]]))
+    misplaced = ~np.isin(plan.segment, np.arange(len(starts)))
+    of = np.where(misplaced, 0, plan.segment)
+    outside = misplaced | (plan.time < starts[of] - SAME_TIME) | (plan.time > ends[of] + SAME_TIME)
+    return [
+        Check("states that are not finite or do not follow in time", float(len(bad)), 0.0, "states", where),
+        Check("gap between segments", float(gaps.max()), SAME_TIME, "s", f"before segment {int(gaps.argmax())}"),
+        Check("states outside their segment", float(outside.sum()), 0.0, "states", _at(plan.time[outside][:1])),
+    ]
+
+
+def check_limits(plan: TimedPlan, cell: Cell, tolerances: Tolerances) -> list[Check]:
+    """Check start, rest, joint limits, speeds and accelerations: on the curve, as stated and by differences."""
+    chain, start = cell.robot.chain, np.asarray(cell.start)
+    low, high = position_extremes(plan.time, plan.position, plan.velocity)
+    beyond = np.maximum(chain.lower - low, high - chain.upper)
+    dt = np.diff(plan.time)[:, None]
+    jumps = np.abs(np.diff(plan.position, axis=0)) - chain.max_velocity * (1.0 + tolerances.limit_share) * dt
+    jumps[np.diff(plan.segment) == 0] = -np.inf
+    at_rest = np.abs(plan.velocity[[0, -1]])
+    share = 1.0 + tolerances.limit_share
+    speed, force = chain.max_velocity, chain.max_acceleration
+    curve = (plan.time, plan.position, plan.velocity)
+    shares = [
+        ("joint speed of the curve", peak_velocity(*curve) / speed),
+        ("stated joint speed", np.abs(plan.velocity) / speed),
+        ("joint speed by differences", np.abs(np.diff(plan.position, axis=0)) / dt / speed),
+        ("joint acceleration of the curve", peak_acceleration(*curve) / force),
+        ("stated joint acceleration", np.abs(plan.acceleration) / force),
+        ("joint acceleration by differences", np.abs(np.diff(plan.velocity, axis=0)) / dt / force),
+    ]
+    return [
+        Check("deviation from the start configuration", float(np.abs(plan.position[0] - start).max()),
+              tolerances.joint_angle, "rad", "at 0.000 s"),
+        Check("joint speed at start and end", float(at_rest.max()), tolerances.joint_angle, "rad/s"),
+        _worst("overshoot of a joint limit", beyond, tolerances.joint_angle, "rad", plan.time),
+        _worst("jump between segments", np.maximum(jumps, 0.0), 0.0, "rad", plan.time),
+        *(_worst(name, values, share, "of the limit", plan.time) for name, values in shares),
+    ]  # fmt: skip
+
+
+def check_sweeps(
+    plan: TimedPlan, cell: Cell, sweeps: Sequence[PlannedSweep], max_speed: float, tolerances: Tolerances
+) -> list[Check]:
+    """Check that every planned sweep is executed over its interval, straight, without turning, and not too fast."""
+    missing = [sweep.name for number, sweep in enumerate(sweeps) if number not in {s.sweep for s in plan.segments}]
+    checks = [Check("sweeps not executed", float(len(missing)), 0.0, "sweeps", listed(missing))]
+    corners = MovingCorners.of(cell)
+    worst: dict[str, Check] = {}
+    for segment in plan.segments:
+        if segment.sweep < 0:
+            continue
+        for check in _check_sweep(plan, segment, sweeps[segment.sweep], cell, corners, max_speed, tolerances):
+            if check.name not in worst or not check.found <= worst[check.name].found:
+                worst[check.name] = check
+    return checks + list(worst.values())
+
+
+def check_collisions(
+    plan: TimedPlan,
+    cell: Cell,
+    checker: StateChecker,
+    tolerances: Tolerances,
+    progress: Callable[[float], None] = lambda share: None,
+) -> tuple[list[Check], int]:
+    """Check the whole plan for collisions in small steps; return the checks and the number of states checked.
+
+    It ends with the first collision.
+    """
+    corners = MovingCorners.of(cell)
+    time = dense_times(plan, corners, step=tolerances.step, step_angle=tolerances.step_angle)
+    position, _ = states_at(plan.time, plan.position, plan.velocity, time)
+    moved = float(corners.displacement(position).max())
+    turned = float(np.abs(np.diff(position, axis=0)).max())
+    collisions, where = 0, ""
+    for number, q in enumerate(position):
+        if number % STATES_PER_REPORT == 0:
+            progress(number / len(position))
+        touching = checker.collision(q)
+        if touching is not None:
+            collisions, where = 1, f"{_at(time[number : number + 1])}: {touching[0]} touches {touching[1]}"
+            break
+    progress(1.0)
+    return [
+        Check("colliding states", float(collisions), 0.0, "states", where),
+        Check("motion between checked states", moved, tolerances.step, "m"),
+        Check("joint turn between checked states", turned, tolerances.step_angle, "rad"),
+    ], len(position)
+
+
+def _check_sweep(
+    plan: TimedPlan,
+    segment: ExecutedSegment,
+    sweep: PlannedSweep,
+    cell: Cell,
+    corners: MovingCorners,
+    max_speed: float,
+    tolerances: Tolerances,
+) -> list[Check]:
+    rows = np.flatnonzero((plan.time >= segment.start - SAME_TIME) & (plan.time <= segment.end + SAME_TIME))
+    if len(rows) < 2:
+        return [Check("sweep interval not executed", np.inf, tolerances.position, "m", sweep.name)]
+    part = slice(int(rows[0]), int(rows[-1]) + 1)
+    motion = TimedPlan(
+        plan.time[part], plan.position[part], plan.velocity[part], plan.acceleration[part],
+        plan.segment[part], plan.travel[part], (),
+    )  # fmt: skip
+    time = dense_times(motion, corners, step=tolerances.step, step_angle=tolerances.step_angle)
+    position, _ = states_at(motion.time, motion.position, motion.velocity, time)
+    seen = _scanner_in_sweep(cell, sweep, position)
+    travel, off = seen[:, 0, 3], np.linalg.norm(seen[:, 1:3, 3], axis=1)
+    speed = np.linalg.norm(np.diff(seen[:, :3, 3], axis=0), axis=1) / np.diff(time)
+    turned, swung = _angles(seen), _angles(inverse(seen[:1]) @ seen)
+    stated = np.abs(_scanner_in_sweep(cell, sweep, motion.position)[:, 0, 3] - motion.travel)
+    first, last = sweep.interval
+    lacking = max(travel.min() - first, last - travel.max(), 0.0)
+    where = f"in {sweep.name}"
+
+    def worst(name: str, values: FloatArray, permitted: float, unit: str, times: FloatArray) -> Check:
+        row = int(np.argmax(values))
+        return Check(name, float(values[row]), permitted, unit, f"{where} {_at(times[row : row + 1])}")
+
+    return [
+        worst("scanner off its planned line", off, tolerances.position, "m", time),
+        worst("scanner turned off its planned orientation", turned, tolerances.angle, "rad", time),
+        worst("scanner turning during a sweep", swung, tolerances.angle, "rad", time),
+        worst("stated travel off the executed one", stated, tolerances.position, "m", motion.time),
+        worst("scanner speed on a sweep", speed, max_speed * (1.0 + tolerances.limit_share), "m/s", time),
+        Check("sweep interval not executed", float(lacking), tolerances.position, "m", where),
+    ]
+
+
+def _scanner_in_sweep(cell: Cell, sweep: PlannedSweep, position: FloatArray) -> FloatArray:
+    """Return the scanner's poses in the frame of the sweep at travel 0, (states, 4, 4)."""
+    chain = cell.robot.chain
+    T_base_scanner = link_poses_of(chain, position)[:, -1] @ (chain.T_last_flange @ cell.T_flange_scanner)
+    return np.asarray(inverse(sweep.T_world_scanner) @ cell.T_world_base @ T_base_scanner)
+
+
+def _angles(T: FloatArray) -> FloatArray:
+    """Return the rotation angles of poses (n, 4, 4); the sine keeps small angles exact."""
+    R = T[:, :3, :3]
+    axis = np.stack([R[:, 2, 1] - R[:, 1, 2], R[:, 0, 2] - R[:, 2, 0], R[:, 1, 0] - R[:, 0, 1]], axis=1)
+    return np.asarray(np.arctan2(np.linalg.norm(axis, axis=1), np.trace(R, axis1=1, axis2=2) - 1.0))
+
+
+def _worst(name: str, values: FloatArray, permitted: float, unit: str, time: FloatArray) -> Check:
+    """Make a check of the largest of ``values`` (states or intervals, joints)."""
+    row, joint = np.unravel_index(int(np.argmax(np.nan_to_num(values, nan=np.inf))), values.shape)
+    where = f"{_at(time[row : row + 1])} in joint {int(joint) + 1}"
+    return Check(name, float(values[row, joint]), permitted, unit, where)
+
+
+def _at(time: FloatArray) -> str:
+    return f"at {float(time[0]):.3f} s" if len(time) else ""

@@ -1,0 +1,122 @@
+"""All ways in which the arm can execute a straight sweep: inverse kinematics branches and windings.
+
+A piece of a sweep is followed by Newton's method in small steps of travel, so that the joint path stays on its
+branch; between the steps it is a cubic spline. A winding adds whole turns to joints whose limits have room for
+them along the whole sweep; it moves as its branch does and collides where its branch does.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from cellwright.arrays import FloatArray
+from cellwright.cell.cell import Cell
+from cellwright.cell.chain_kinematics import track_pose
+from cellwright.cell.inverse_kinematics import windings as configurations
+from cellwright.cell.robot import Chain
+from cellwright.cell.transforms import inverse
+from cellwright.solvers.path_timing import Limits, TimedMotion, time_path
+from cellwright.solvers.roadmap import travel_time
+
+TRACKING_TOLERANCE = 1e-8
+"""Metres and rad: far below what is verified, far above rounding."""
+TRACKING_STEPS = 20
+LARGEST_TURN = 0.2
+"""Rad of any joint between two traced poses; more means that the path has left its branch near a singularity."""
+TURN = 2.0 * np.pi
+
+
+@dataclass(frozen=True, eq=False)
+class SweepPath:
+    """The joint path of one branch along a sweep.
+
+    Attributes:
+        branch: Inverse kinematics branch.
+        travel: Travel of the traced poses, rising, (poses,) in m.
+        position: Joint positions there, (poses, joints) in rad.
+    """
+
+    branch: int
+    travel: FloatArray
+    position: FloatArray
+
+    def timed(self, limits: Limits, speed: float, acceleration: float, sample: float) -> TimedMotion:
+        """Time the sweep from rest to rest; the last coordinate of the motion is the travel in m.
+
+        ``speed`` (m/s) and ``acceleration`` (m/s^2) bound the travel besides the joints' limits.
+
+        Raises:
+            SolverError: If no timing was found.
+        """
+        from scipy.interpolate import CubicSpline
+
+        path = CubicSpline(self.travel, np.column_stack([self.position, self.travel]))
+        return time_path(path, self.travel, limits.with_travel(speed, acceleration), sample)
+
+
+def flange_targets(cell: Cell, T_world_scanner: FloatArray, travel: FloatArray) -> FloatArray:
+    """Return ``T_base_flange`` (n, 4, 4) with the scanner at each ``travel`` (n,) in m along its x axis.
+
+    ``T_world_scanner`` (4, 4) is the scanner's pose at travel 0.
+    """
+    along = np.tile(np.eye(4), (len(travel), 1, 1))
+    along[:, 0, 3] = travel
+    T_base_scanner = inverse(cell.T_world_base) @ T_world_scanner
+    return np.asarray(T_base_scanner @ along @ inverse(cell.T_flange_scanner))
+
+
+def trace_sweep(
+    cell: Cell,
+    T_world_scanner: FloatArray,
+    q_start: FloatArray,
+    branch: int,
+    start: float,
+    interval: tuple[float, float],
+    step: float,
+) -> SweepPath | None:
+    """Follow a sweep from ``q_start`` at travel ``start`` and return its path over ``interval``, all in m.
+
+    ``start`` is at most the interval's first travel. ``None`` if a pose is not reached on the same branch,
+    the first one from ``q_start`` included.
+    """
+    first, last = interval
+    lead = np.linspace(start, first, int(np.ceil((first - start) / step)) + 1)[:-1] if first > start else np.empty(0)
+    wanted = np.linspace(first, last, max(2, int(np.ceil((last - first) / step))) + 1)
+    chain = cell.robot.chain
+    targets = flange_targets(cell, T_world_scanner, np.concatenate([lead, wanted]))
+    q, rows = np.ascontiguousarray(q_start, float), []
+    for target in targets:
+        following, reached = track_pose(
+            chain.T_parent_joint, chain.axis, chain.T_last_flange, q, target, TRACKING_TOLERANCE, TRACKING_STEPS
+        )
+        if not reached or float(np.abs(following - q).max()) > LARGEST_TURN:
+            return None
+        q = following
+        rows.append(q)
+    return SweepPath(branch, wanted, np.stack(rows[len(lead) :]))
+
+
+def windings(path: SweepPath, chain: Chain) -> FloatArray:
+    """Return all turns (windings, joints) in rad that can be added to a path within the joint limits."""
+    low, high = path.position.min(axis=0), path.position.max(axis=0)
+    middle = 0.5 * (low + high)
+    found = configurations(middle, chain.lower + (middle - low), chain.upper - (high - middle))
+    return np.asarray(TURN * np.round((found - middle) / TURN))
+
+
+def nearest_windings(
+    paths: list[SweepPath], chain: Chain, q_near: FloatArray, count: int
+) -> list[tuple[int, FloatArray]]:
+    """Return up to ``count`` pairs of path number and turns whose middle lies nearest to ``q_near``.
+
+    Nearness is the time of the slowest joint at full speed; ties go to the lower path and the lower turns.
+    """
+    found: list[tuple[float, int, tuple[float, ...]]] = []
+    for number, path in enumerate(paths):
+        middle = path.position[len(path.position) // 2]
+        for turns in windings(path, chain):
+            away = float(travel_time(middle + turns, q_near, chain.max_velocity))
+            found.append((round(away, 9), number, tuple(turns.tolist())))
+    return [(number, np.array(turns)) for _, number, turns in sorted(found)[:count]]

@@ -1,0 +1,233 @@
+"""Order sweeps, and choose each one's direction and alternative, so that the whole plan is short.
+
+Three ways on the same connection costs: the greedy one of Kaiser 2021, section 4.4 (from the current end the
+shortest executable connection next), the exact one by dynamic programming over subsets, and local search where
+there are too many sweeps for that. Real connections are costly to find, so they are evaluated lazily (as Bohlin
+and Kavraki 2000 do with edges): solve on lower bounds, evaluate the connections of the best orders, solve again,
+until an order whose connections are all evaluated is no longer than the least bound: it is then proven best.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from cellwright.arrays import BoolArray, FloatArray, Int32Array
+from cellwright.errors import InfeasibleError, listed
+from cellwright.solvers.order_bound import one_tree_bound
+from cellwright.solvers.order_kernels import best_options, held_karp, improve_sequence
+
+SAME = 1e-9
+"""Seconds; differences below this are none."""
+
+Evaluate = Callable[[int, int], float]
+"""Cost of the connection from one option's exit to another's entry; infinite if there is none."""
+
+
+@dataclass(frozen=True, eq=False)
+class SweepOptions:
+    """The ways to execute each sweep, numbered sweep by sweep; the number after the last is the start configuration.
+
+    Attributes:
+        name: What to call each sweep, (sweeps,).
+        first: First option of each sweep, and their number, (sweeps + 1,).
+        duration: Time that the option takes, (options,) in s.
+        reverse: The same alternative in the other direction, (options,).
+        least: Lower bounds of the connection costs, (options + 1, options + 1), row to column.
+        returns: Whether the plan ends where it starts.
+    """
+
+    name: tuple[str, ...]
+    first: Int32Array
+    duration: FloatArray
+    reverse: Int32Array
+    least: FloatArray
+    returns: bool = False
+
+    @property
+    def start(self) -> int:
+        """The number that stands for the start configuration."""
+        return len(self.duration)
+
+
+@dataclass(frozen=True, eq=False)
+class SweepOrder:
+    """An order whose connections have all been evaluated.
+
+    Attributes:
+        options: Chosen options in order, (sweeps,).
+        duration: Its whole duration in s: sweeps and connections.
+        lower_bound: No order on these connection costs is shorter, s.
+        proven: Whether it is shortest: duration and bound agree.
+    """
+
+    options: Int32Array
+    duration: float
+    lower_bound: float
+    proven: bool
+
+
+class ConnectionCosts:
+    """Connection costs, evaluated when asked for; until then their lower bounds.
+
+    Attributes:
+        value: What is known: costs where ``exact``, else lower bounds, (options + 1, options + 1).
+        exact: Which are costs.
+        n_evaluated: Connections evaluated so far.
+    """
+
+    def __init__(self, options: SweepOptions, evaluate: Evaluate) -> None:
+        self._options, self._evaluate = options, evaluate
+        self.value: FloatArray = options.least.copy()
+        self.exact: BoolArray = np.zeros(self.value.shape, bool)
+        if not options.returns:
+            self.value[:, options.start] = 0.0
+            self.exact[:, options.start] = True
+        self.n_evaluated = 0
+
+    def at(self, a: int, b: int) -> float:
+        """Return the cost of a connection, evaluating it now if need be."""
+        if not self.exact[a, b]:
+            self.n_evaluated += 1
+            self.set(a, b, self._evaluate(a, b))
+        return float(self.value[a, b])
+
+    def set(self, a: int, b: int, cost: float) -> None:
+        """Store a connection's cost, and that of the same connection run backwards."""
+        start, reverse = self._options.start, self._options.reverse
+        self.value[a, b], self.exact[a, b] = cost, True
+        a_back, b_back = (int(reverse[x]) if x < start else start for x in (a, b))
+        if self._options.returns or start not in (a, b):
+            self.value[b_back, a_back], self.exact[b_back, a_back] = cost, True
+
+    def bar(self, option: int) -> None:
+        """Take an option out: no connection leads to it or away from it."""
+        for row, column in ((option, slice(None)), (slice(None), option)):
+            self.value[row, column], self.exact[row, column] = np.inf, True
+
+    def total(self, chosen: Sequence[int] | Int32Array, ceiling: float = np.inf) -> float:
+        """Return the duration of an order of options, evaluating connections until it is exact.
+
+        As soon as it cannot stay below ``ceiling`` the lower bound so far is returned instead.
+        """
+        start = self._options.start
+        stops = [start, *(int(o) for o in chosen), start]
+        links = list(itertools.pairwise(stops))
+        own = float(self._options.duration[stops[1:-1]].sum())
+        for a, b in links:
+            if own + sum(float(self.value[link]) for link in links) >= ceiling:
+                break
+            self.at(a, b)
+        return own + sum(float(self.value[link]) for link in links)
+
+
+def order_greedily(options: SweepOptions, costs: ConnectionCosts) -> SweepOrder:
+    """Order sweeps by the shortest connection from the current end (Kaiser 2021, section 4.4); ties: lowest option.
+
+    Raises:
+        InfeasibleError: If sweeps are left that no connection reaches.
+    """
+    sweep_of = np.repeat(np.arange(len(options.name)), np.diff(options.first))
+    open_options = np.ones(len(options.duration), bool)
+    current = options.start
+    chosen: list[int] = []
+    while open_options.any():
+        candidates = np.flatnonzero(open_options)
+        best, least = -1, np.inf
+        for option in candidates[np.argsort(costs.value[current, candidates], kind="stable")]:
+            if costs.value[current, option] > least:
+                break
+            cost = costs.at(current, int(option))
+            if cost < least or (cost == least < np.inf and option < best):
+                best, least = int(option), cost
+        if best < 0:
+            left = [options.name[i] for i in np.unique(sweep_of[candidates])]
+            place = "the start configuration" if not chosen else f"the end of {options.name[sweep_of[current]]}"
+            raise InfeasibleError(
+                f"no collision-free connection was found from {place} to {listed(left)}: raise roadmap_nodes, "
+                "lower clearance_m, or give the arm more room there"
+            )
+        chosen.append(best)
+        open_options[options.first[sweep_of[best]] : options.first[sweep_of[best] + 1]] = False
+        current = best
+    return SweepOrder(np.array(chosen, np.int32), costs.total(chosen), float("-inf"), proven=False)
+
+
+def order_best(
+    options: SweepOptions,
+    costs: ConnectionCosts,
+    known: SweepOrder,
+    *,
+    n_evaluations: int,
+    exact_up_to: int = 15,
+) -> SweepOrder:
+    """Return the best order, exact for up to ``exact_up_to`` sweeps, never longer than the ``known`` one.
+
+    Dynamic programming takes time and memory 2^sweeps: beyond that, local search with a lower bound. After
+    ``n_evaluations`` connections the search stops with what it has and the bound it has proven.
+    """
+    if len(options.name) <= exact_up_to:
+        return _exact(options, costs, known, n_evaluations)
+    return _searched(options, costs, known, n_evaluations)
+
+
+def _exact(options: SweepOptions, costs: ConnectionCosts, known: SweepOrder, n_evaluations: int) -> SweepOrder:
+    budget = costs.n_evaluated + n_evaluations
+    best = _local_search(options, costs, known.options, (known.options, known.duration), budget)
+    while True:
+        totals, orders = held_karp(costs.value, options.duration, options.first, best[1] - SAME)
+        bound = min(float(totals.min()), best[1])
+        if bound >= best[1] - SAME or costs.n_evaluated > budget:
+            return SweepOrder(*best, bound, proven=bound >= best[1] - SAME)
+        for row in np.argsort(totals, kind="stable"):
+            if totals[row] < best[1] - SAME:
+                best = _settled(options, costs, orders[row], best)
+        # cheap, and finds most of what the next subset search would find on the new costs
+        best = _local_search(options, costs, orders[int(np.argmin(totals))], best, budget)
+
+
+def _searched(options: SweepOptions, costs: ConnectionCosts, known: SweepOrder, n_evaluations: int) -> SweepOrder:
+    budget = costs.n_evaluated + n_evaluations
+    best = _local_search(options, costs, known.options, (known.options, known.duration), budget)
+    bound = one_tree_bound(costs.value, options.duration, options.first, best[1])
+    return SweepOrder(*best, bound, proven=bound >= best[1] - SAME)
+
+
+def _local_search(
+    options: SweepOptions, costs: ConnectionCosts, chosen: Int32Array, best: tuple[Int32Array, float], budget: int
+) -> tuple[Int32Array, float]:
+    """Improve the sequence of ``chosen`` on what is known of the costs, evaluate it, and so on; return the best."""
+    sequence = _sweeps_of(options, chosen)
+    while costs.n_evaluated <= budget:
+        best = _settled_sequence(options, costs, sequence, best)
+        total, improved = improve_sequence(sequence, costs.value, options.duration, options.first)
+        if total >= best[1] - SAME or np.array_equal(improved, sequence):
+            break
+        sequence = improved
+    return best
+
+
+def _settled(
+    options: SweepOptions, costs: ConnectionCosts, trial: Int32Array, best: tuple[Int32Array, float]
+) -> tuple[Int32Array, float]:
+    """Evaluate the sequence of ``trial`` with whichever options are best; return the better order and its duration."""
+    return _settled_sequence(options, costs, _sweeps_of(options, trial), best)
+
+
+def _settled_sequence(
+    options: SweepOptions, costs: ConnectionCosts, sequence: Int32Array, best: tuple[Int32Array, float]
+) -> tuple[Int32Array, float]:
+    while True:
+        total, picked = best_options(sequence, costs.value, options.duration, options.first)
+        if total >= best[1] - SAME:
+            return best
+        exact = costs.total(picked, best[1] - SAME)
+        if exact <= total + SAME:
+            return picked, exact
+
+
+def _sweeps_of(options: SweepOptions, chosen: Int32Array) -> Int32Array:
+    return (np.searchsorted(options.first, chosen, side="right") - 1).astype(np.int32)

@@ -1,0 +1,375 @@
+"""The command line: ``cellwright inspect | validate | sweep | lake | server | examples``.
+
+Arguments are read before anything heavy is imported, so that ``--help`` answers at once. An expected error is one
+message on standard error and an exit code by its class; an unexpected one keeps its traceback, as it is a bug.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import os
+import signal
+import sys
+import threading
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from types import FrameType
+from typing import TYPE_CHECKING, Any, NoReturn, Protocol
+
+from cellwright.errors import CellwrightError
+from flows.output import stdout_console, write_json
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+INTERRUPTED = 130
+
+_EPILOG = """\
+examples:
+  cellwright inspect examples/grooved_cylinder.yaml
+  cellwright inspect cell.yaml --set part.file=bracket.stl --set planner.selection.min_coverage=0.98
+  cellwright lake ls
+
+exit codes:
+  0  done
+  2  a file, parameter or argument is malformed
+  3  the question has no answer: the message says which constraint blocks it
+  4  a numerical method stopped short
+  5  the lake is missing something, damaged, or cannot be written
+  130  interrupted
+"""
+
+
+class Summary(Protocol):
+    """What a flow hands back to the command line."""
+
+    def as_json(self) -> Mapping[str, Any]:
+        """Return the result as plain values."""
+
+    def show(self, console: Console) -> None:
+        """Print the result for a person."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command and return its exit code."""
+    options = parser().parse_args(arguments)
+    with _stopping_at_interrupt():
+        return _run(options)
+
+
+def _run(options: argparse.Namespace) -> int:
+    try:
+        code = int(options.run(options))
+        sys.stdout.flush()
+        return code
+    except CellwrightError as error:
+        sys.stderr.write(f"error: {error}\n")
+        return error.exit_code
+    except BrokenPipeError:  # the reader of our output went away, as `head` does
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 128 + signal.SIGPIPE
+    except KeyboardInterrupt:
+        sys.stderr.write("interrupted: what was finished is in the lake, a rerun goes on from there\n")
+        _leave_now_if_busy(INTERRUPTED)
+        return INTERRUPTED
+
+
+def parser() -> argparse.ArgumentParser:
+    """Return the parser of the whole command line."""
+    whole = _Parser("cellwright", "Plan robot cells: from a part file and a cell file to a verified scan.", _EPILOG)
+    whole.add_argument("--version", action=_Version)
+    commands = whole.add_subparsers(title="commands", metavar="COMMAND", required=True, parser_class=_Parser)
+    _add_inspect(commands)
+    _add_validate(commands)
+    _add_sweep(commands)
+    _add_lake(commands)
+    _add_server(commands)
+    examples = commands.add_parser("examples", help="list the built-in examples")
+    examples.add_argument("--json", action="store_true", help="print JSON")
+    examples.set_defaults(run=_examples)
+    return whole
+
+
+def default_lake() -> str:
+    """Return the lake that is used without ``--lake``: ``CELLWRIGHT_LAKE``, else the folder ``lake`` here."""
+    return os.environ.get("CELLWRIGHT_LAKE") or "lake"
+
+
+class _Parser(argparse.ArgumentParser):
+    def __init__(self, prog: str = "", description: str = "", epilog: str = "", **keywords: Any) -> None:
+        super().__init__(
+            prog,
+            description=description,
+            epilog=epilog,
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+            **keywords,
+        )
+
+
+class _Version(argparse.Action):
+    def __init__(self, option_strings: Sequence[str], dest: str) -> None:
+        super().__init__(option_strings, dest, nargs=0, help="print the version")
+
+    def __call__(self, parser: argparse.ArgumentParser, *ignored: Any) -> NoReturn:
+        from importlib.metadata import version  # 20 ms that --help need not wait for
+
+        parser.exit(0, f"cellwright {version('cellwright')}\n")
+
+
+def _add_inspect(commands: Any) -> None:
+    command = commands.add_parser(
+        "inspect",
+        help="plan a laser-scan inspection and verify it",
+        description="Plan a laser-scan inspection of the part in a cell file, verify it, and report what it sees.",
+        epilog="""\
+examples:
+  cellwright inspect grooved_cylinder
+  cellwright inspect cell.yaml --out results --seed 7
+  cellwright inspect cell.yaml --set planner.sampling.density="0.005 /mm^2" --refresh select_views
+""",
+    )
+    command.add_argument("cell", metavar="CELL.yaml", help="the cell file, or the name of a built-in example")
+    _add_set(command)
+    command.add_argument("--seed", type=int, metavar="N", help="seed of all random numbers (planner.seed)")
+    command.add_argument("--out", type=Path, metavar="DIR", help="write report, plan and figures into this folder")
+    _add_run_options(command)
+    command.set_defaults(run=_inspect)
+
+
+def _add_validate(commands: Any) -> None:
+    command = commands.add_parser(
+        "validate",
+        help="check a cell file and show what it says",
+        description="Check a cell file without planning anything, and show what stands in the cell.",
+        epilog="example:\n  cellwright validate cell.yaml --set part.unit=inch\n",
+    )
+    command.add_argument("cell", metavar="CELL.yaml", help="the cell file, or the name of a built-in example")
+    _add_set(command)
+    command.add_argument("--json", action="store_true", help="print the whole cell as JSON, in SI units")
+    command.set_defaults(run=_validate)
+
+
+def _add_sweep(commands: Any) -> None:
+    command = commands.add_parser(
+        "sweep",
+        help="run a flow over a grid of parameters and draw the picture",
+        description="Run the flow of a study file over its grid; runs share every stage that does not differ.",
+        epilog="example:\n  cellwright sweep studies/coverage_vs_density.yaml --out results\n",
+    )
+    command.add_argument("study", metavar="STUDY.yaml", type=Path, help="the study file")
+    command.add_argument("--out", type=Path, metavar="DIR", help="write table and figures into this folder")
+    _add_run_options(command)
+    command.set_defaults(run=_sweep)
+
+
+def _add_lake(commands: Any) -> None:
+    lake = commands.add_parser("lake", help="look into the lake, check it, sweep it")
+    actions = lake.add_subparsers(title="commands", metavar="COMMAND", required=True, parser_class=_Parser)
+    for action, argument, meaning, example in _LAKE_COMMANDS:
+        command = actions.add_parser(
+            action, help=meaning, description=f"{meaning[0].upper()}{meaning[1:]}.", epilog=f"example:\n  {example}\n"
+        )
+        if argument:
+            command.add_argument("subject", metavar=argument.upper())
+        if action == "gc":
+            command.add_argument("--yes", action="store_true", help="delete it; without this only say what would go")
+        command.add_argument("--lake", metavar="DIR", help=_LAKE_HELP)
+        command.add_argument("--json", action="store_true", help="print JSON")
+        command.set_defaults(run=_lake, action=action, subject=None)
+
+
+_LAKE_HELP = "folder or address of the lake (default: $CELLWRIGHT_LAKE, else ./lake)"
+
+_LAKE_COMMANDS = (
+    ("ls", "", "list the artefacts, the newest last", "cellwright lake ls --json"),
+    ("show", "ref", "show one artefact: columns, units, facts, causes, files, origin", "cellwright lake show coverage"),
+    ("lineage", "ref", "list everything an artefact was made from", "cellwright lake lineage trajectory"),
+    (
+        "sql",
+        "query",
+        "ask a question in SQL over the tables of all artefacts",
+        'cellwright lake sql "SELECT kind, count(*) FROM manifests GROUP BY kind"',
+    ),
+    ("verify", "", "check every file in the lake against its hash", "cellwright lake verify"),
+    ("gc", "", "find what no run reaches any more, and delete it on request", "cellwright lake gc --yes"),
+)
+
+
+def _add_server(commands: Any) -> None:
+    server = commands.add_parser(
+        "server",
+        help="start, stop or look at this machine's Prefect server",
+        description="The server that shows runs in a browser. Commands that need it start it by themselves, once.",
+    )
+    actions = server.add_subparsers(title="commands", metavar="COMMAND", required=True, parser_class=_Parser)
+    for action, meaning in (
+        ("start", "start the server, or find the running one, and print its address"),
+        ("stop", "stop the server"),
+        ("status", "say whether it runs, and where"),
+    ):
+        command = actions.add_parser(action, help=meaning, description=f"{meaning[0].upper()}{meaning[1:]}.")
+        command.add_argument("--json", action="store_true", help="print JSON")
+        command.set_defaults(run=_server, action=action)
+
+
+def _add_set(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="PATH=VALUE",
+        dest="overrides",
+        help="lay a setting over the cell file, e.g. part.scale=0.5; may be repeated",
+    )
+
+
+def _add_run_options(command: argparse.ArgumentParser) -> None:
+    command.add_argument("--lake", metavar="DIR", help=_LAKE_HELP)
+    command.add_argument(
+        "--refresh",
+        action="append",
+        default=[],
+        metavar="STAGE",
+        help="compute this stage although the lake has it; may be repeated",
+    )
+    command.add_argument("--direct", action="store_true", help="run without Prefect: no server, one stage at a time")
+    command.add_argument("--json", action="store_true", help="print the summary as JSON, and no progress")
+
+
+def _inspect(options: argparse.Namespace) -> int:
+    from flows.examples import find_cell_file
+    from schemas.cell_file import load_cell_file
+
+    cell = find_cell_file(options.cell)
+    overrides = [*options.overrides, *([] if options.seed is None else [f"planner.seed={options.seed}"])]
+    load_cell_file(cell, overrides)  # a mistake in it shows before a server is started
+    return _run_flow("inspection", options, cell, overrides=overrides)
+
+
+def _sweep(options: argparse.Namespace) -> int:
+    return _run_flow("study", options, options.study)
+
+
+def _run_flow(module: str, options: argparse.Namespace, *arguments: Any, **keywords: Any) -> int:
+    from importlib import import_module
+
+    from flows import server
+    from flows.execution import stage_named
+    from flows.progress import stage_progress
+
+    for name in options.refresh:
+        stage_named(name)
+    with (
+        stage_progress(quiet=options.json) as (watcher, say),
+        contextlib.nullcontext() if options.direct else server.connected(say),
+    ):
+        summary: Summary = import_module(f"flows.{module}").run(
+            *arguments,
+            **keywords,
+            lake=options.lake or default_lake(),
+            refresh=frozenset(options.refresh),
+            out=options.out,
+            watcher=watcher,
+            direct=options.direct,
+        )
+    _print(summary, as_json=options.json)
+    return 0
+
+
+def _print(summary: Summary, *, as_json: bool) -> None:
+    if as_json:
+        write_json(summary.as_json())
+    else:
+        summary.show(stdout_console())
+
+
+def _validate(options: argparse.Namespace) -> int:
+    from flows.cell_summary import CellSummary
+    from flows.examples import find_cell_file
+    from schemas.cell_file import load_cell_file
+
+    cell = load_cell_file(find_cell_file(options.cell), options.overrides)
+    _print(CellSummary(cell), as_json=options.json)
+    return 0
+
+
+def _lake(options: argparse.Namespace) -> int:
+    from flows import lake_commands
+
+    return lake_commands.run(
+        options.action,
+        options.lake or default_lake(),
+        subject=options.subject,
+        delete=getattr(options, "yes", False),
+        as_json=options.json,
+    )
+
+
+def _server(options: argparse.Namespace) -> int:
+    from flows import server
+    from flows.progress import stage_progress
+
+    if options.action == "stop":
+        stopped = server.stop()
+        if options.json:
+            write_json({"stopped": stopped})
+        else:
+            sys.stdout.write("stopped\n" if stopped else "no server was running\n")
+        return 0
+    with stage_progress(quiet=options.json) as (_, say):
+        found = server.start(say) if options.action == "start" else server.status()
+    if options.json:
+        write_json(found.as_json())
+    elif found.state == "stopped":
+        sys.stdout.write(f"stopped (its data: {found.home})\n")
+    else:
+        process = f", process {found.pid}" if found.pid else ""
+        sys.stdout.write(f"{found.state}: {found.ui_url}{process} (its data: {found.home})\n")
+    return 0
+
+
+def _examples(options: argparse.Namespace) -> int:
+    from flows.examples import examples
+
+    if options.json:
+        write_json({name: str(path) for name, path in examples().items()})
+    else:
+        for name, path in examples().items():
+            sys.stdout.write(f"{name}  {path}\n")
+    return 0
+
+
+@contextlib.contextmanager
+def _stopping_at_interrupt() -> Iterator[None]:
+    """Stop in order at the first Ctrl-C, at once at the second."""
+
+    def interrupt(number: int, frame: FrameType | None) -> NoReturn:
+        signal.signal(signal.SIGINT, lambda number, frame: os._exit(INTERRUPTED))
+        if execution := sys.modules.get("flows.execution"):  # no stage runs where it is not even imported
+            execution.INTERRUPTED.set()
+        os.write(sys.stderr.fileno(), b"\nstopping; press Ctrl-C again to leave at once\n")
+        raise KeyboardInterrupt
+
+    if threading.current_thread() is not threading.main_thread():
+        yield  # only the main thread may say what signals do
+        return
+    if execution := sys.modules.get("flows.execution"):
+        execution.INTERRUPTED.clear()  # of an earlier command in this process
+    before = signal.signal(signal.SIGINT, interrupt)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def _leave_now_if_busy(code: int) -> None:
+    """Do not wait at exit for threads that are still in a kernel: the lake is whole at every moment."""
+    busy = [each for each in threading.enumerate() if each is not threading.main_thread() and not each.daemon]
+    if busy:
+        sys.stderr.flush()
+        os._exit(code)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,251 @@
+"""The flow `inspect`: from a part file and a cell to a verified scan trajectory and its report.
+
+`plan_inspection` chains the stages and says nothing else; `run` is what command line, studies and tests call.
+"""
+
+from __future__ import annotations
+
+import uuid
+from collections.abc import Collection, Sequence
+from contextvars import ContextVar
+from pathlib import Path
+from typing import Any
+
+import tasks
+from cellwright.cell.part import resting_pose, top_height
+from flows.execution import Unwatched, Watcher, open_lake
+from flows.inspection_export import export
+from flows.inspection_result import InspectionResult
+from flows.requests import InspectionRequest, request_of
+from flows.runner import Step, Steps
+from schemas.cell_objects import build_cell
+from schemas.poses import Pose
+from storage.lake import Lake
+
+PLANNING_STAGES = frozenset(
+    {
+        "sample_surface",
+        "sample_viewpoints",
+        "measure_samples",
+        "follow_sweeps",
+        "trim_measurability",
+        "select_views",
+        "find_gaps",
+        "extend_measurability",
+        "stitch_sweeps",
+    }
+)
+"""What the paper's planning time is made of: everything between the mesh and the finished trajectory."""
+
+_WATCHER: ContextVar[Watcher | None] = ContextVar("inspection_watcher", default=None)
+
+
+def run(
+    cell_file: Path,
+    *,
+    overrides: Sequence[str] = (),
+    lake: str,
+    refresh: Collection[str] = frozenset(),
+    out: Path | None = None,
+    watcher: Watcher | None = None,
+    direct: bool = False,
+) -> InspectionResult:
+    """Plan, verify and report the inspection that a cell file describes.
+
+    Args:
+        cell_file: The cell file.
+        overrides: Settings ``path=value`` laid over it.
+        lake: Folder or address of the lake.
+        refresh: Stages to compute although the lake has them.
+        out: Folder for report, recording and figures; nothing is exported if left out.
+        watcher: Hears of the stages while they run.
+        direct: Run without Prefect, one stage after the other.
+
+    Raises:
+        InvalidInputError: If cell file, part or robot are malformed.
+        InfeasibleError: If there is no plan, or the plan fails its verification.
+        LakeError: If the lake fails.
+    """
+    request = request_of(cell_file, overrides)
+    token = _WATCHER.set(watcher)
+    try:
+        if direct:
+            result = plan_and_record(request, lake, refresh, run_id=uuid.uuid4().hex, direct=True)
+        else:
+            from flows.inspection_flow import inspect
+
+            result = inspect(request, lake, sorted(refresh))
+    finally:
+        _WATCHER.reset(token)
+    if out is not None:
+        result.files.update(export(open_lake(lake), result, out))
+    return result
+
+
+def plan_and_record(
+    request: InspectionRequest, lake_url: str, refresh: Collection[str], *, run_id: str, direct: bool
+) -> InspectionResult:
+    """Run the chain, write down what the run used, and gather its figures."""
+    lake = open_lake(lake_url)
+    watcher = _WATCHER.get() or Unwatched()
+    with Steps(lake_url, refresh=refresh, watcher=watcher, direct=direct) as step:
+        steps = plan_inspection(step, request, lake)
+        step.record_run(run_id, flow="inspect", cell=request.name)
+        return InspectionResult.of(request, lake, run_id, steps, step.records())
+
+
+def plan_inspection(step: Steps, request: InspectionRequest, lake: Lake) -> dict[str, Step]:
+    """Chain the stages of an inspection; returns the steps by the name of what they make."""
+    part = step(tasks.read_source, request.part, label="part")
+    files = tuple(step(tasks.read_source, source, label=source.name) for source in request.cell_files)
+    cell = step(tasks.assemble_cell, request.cell, files=files)
+    mesh = step(tasks.preprocess_mesh, request.mesh, source=part)
+    cloud = step(tasks.sample_surface, request.verification_cloud, label="verification", mesh=mesh)
+    samples = step(tasks.sample_surface, request.samples, label="planning", mesh=mesh)
+    viewpoints = step(tasks.sample_viewpoints, request.viewpoints, samples=samples)
+    seen = step(tasks.measure_samples, request.sensing, mesh=mesh, samples=samples, viewpoints=viewpoints)
+
+    placed = {"T_world_part": part_pose(request, lake, mesh, cell)}
+    reachability = step(
+        tasks.follow_sweeps,
+        request.sweeps.model_copy(update=placed),
+        cell=cell,
+        mesh=mesh,
+        viewpoints=viewpoints,
+        measurability=seen,
+    )
+    measurable = step(
+        tasks.trim_measurability,
+        request.trimming,
+        samples=samples,
+        viewpoints=viewpoints,
+        measurability=seen,
+        reachability=reachability,
+    )
+    selection = step(tasks.select_views, request.cover, measurability=measurable)
+    selection = close_gaps(step, request, lake, mesh, viewpoints, reachability, measurable, selection)
+
+    trajectory = step(
+        tasks.stitch_sweeps,
+        request.stitching.model_copy(update=placed),
+        cell=cell,
+        mesh=mesh,
+        viewpoints=viewpoints,
+        reachability=reachability,
+        selection=selection,
+    )
+    verification = step(
+        tasks.verify_plan,
+        request.verification.model_copy(update=placed),
+        cell=cell,
+        mesh=mesh,
+        viewpoints=viewpoints,
+        reachability=reachability,
+        selection=selection,
+        trajectory=trajectory,
+    )
+    scan = step(
+        tasks.simulate_scan, request.scan.model_copy(update=placed), cell=cell, mesh=mesh, trajectory=trajectory
+    )
+    coverage = step(
+        tasks.measure_coverage,
+        request.coverage,
+        mesh=mesh,
+        cloud=cloud,
+        scan=scan,
+        viewpoints=viewpoints,
+        reachability=reachability,
+        selection=selection,
+    )
+    recording = step(
+        tasks.record_plan,
+        request.recording.model_copy(update=placed),
+        cell=cell,
+        mesh=mesh,
+        trajectory=trajectory,
+        scan=scan,
+    )
+    report = step(
+        tasks.write_report,
+        request.report,
+        mesh=mesh,
+        cell=cell,
+        cloud=cloud,
+        coverage=coverage,
+        viewpoints=viewpoints,
+        selection=selection,
+        trajectory=trajectory,
+        verification=verification,
+        scan=scan,
+    )
+    return {
+        "cell": cell,
+        "mesh": mesh,
+        "viewpoints": viewpoints,
+        "reachability": reachability,
+        "selection": selection,
+        "trajectory": trajectory,
+        "verification": verification,
+        "scan": scan,
+        "coverage": coverage,
+        "recording": recording,
+        "report": report,
+    }
+
+
+def close_gaps(
+    step: Steps,
+    request: InspectionRequest,
+    lake: Lake,
+    mesh: Step,
+    viewpoints: Step,
+    reachability: Step,
+    measurable: Step,
+    selection: Step,
+) -> Step:
+    """Add what the selection misses between the samples to what must be covered, and select again, for some rounds."""
+    if request.refinement_rounds == 0:
+        return selection
+    cloud = step(tasks.sample_surface, request.refinement_cloud, label="refinement", mesh=mesh)
+    earlier: tuple[Step, ...] = ()
+    for number in range(1, request.refinement_rounds + 1):
+        gaps = step(
+            tasks.find_gaps,
+            request.gaps,
+            label=f"round {number}",
+            mesh=mesh,
+            cloud=cloud,
+            viewpoints=viewpoints,
+            reachability=reachability,
+            selection=selection,
+            earlier=earlier,
+        )
+        found: Any = lake.load(gaps.ref())
+        if len(found.point) == 0:
+            break
+        measurable = step(
+            tasks.extend_measurability,
+            request.extension,
+            label=f"round {number}",
+            mesh=mesh,
+            cloud=cloud,
+            gaps=gaps,
+            viewpoints=viewpoints,
+            measurability=measurable,
+            reachability=reachability,
+        )
+        selection = step(tasks.select_views, request.cover, label=f"round {number}", measurability=measurable)
+        earlier = (*earlier, gaps)
+    return selection
+
+
+def part_pose(request: InspectionRequest, lake: Lake, mesh: Step, cell: Step) -> Pose:
+    """Return where the part stands: as written, or resting on the body that the cell file names."""
+    if request.rests_on is None:
+        return request.part_pose
+    loaded: Any = lake.load(mesh.ref())
+    model: Any = lake.load(cell.ref())
+    support = next(body for body in build_cell(model).bodies if body.name == request.rests_on)
+    stated = request.part_pose.matrix()
+    top = top_height(support.shape, support.T_parent_body)
+    return Pose.of(resting_pose(loaded.vertices_m, stated[:3, :3], (stated[0, 3], stated[1, 3]), top))

@@ -1,0 +1,26 @@
+"""The Prefect side of `inspect`: the flow, and what it leaves in Prefect's user interface."""
+
+from __future__ import annotations
+
+import base64
+
+from prefect import flow, runtime
+from prefect.artifacts import create_image_artifact, create_markdown_artifact, create_table_artifact
+
+from flows.inspection import plan_and_record
+from flows.inspection_result import InspectionResult
+from flows.requests import InspectionRequest
+from flows.runner import task_runner
+
+
+@flow(name="inspect", task_runner=task_runner(), persist_result=False)
+def inspect(request: InspectionRequest, lake: str, refresh: list[str] | None = None) -> InspectionResult:
+    """Plan, verify and report a laser-scan inspection; every stage comes from the lake if it is there."""
+    run_id = str(runtime.flow_run.id)
+    result = plan_and_record(request, lake, frozenset(refresh or ()), run_id=run_id, direct=False)
+    create_markdown_artifact(result.as_markdown(), key="inspection-summary", description=request.name)
+    create_table_artifact(result.coverage_rows(), key="inspection-coverage", description="Coverage by cause")
+    for name, picture in result.pictures().items():
+        data = base64.b64encode(picture).decode()
+        create_image_artifact(f"data:image/png;base64,{data}", key=f"inspection-{name}", description=name)
+    return result

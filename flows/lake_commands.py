@@ -1,0 +1,249 @@
+"""The commands that look into a lake: what is there, what it means, where it came from, whether it is whole."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
+
+from cellwright.errors import LakeError
+from flows.output import print_table, write_json
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from schemas.artefact import Artefact
+    from storage.lake import Lake
+    from storage.manifests import Manifest
+
+_MOST_FACT_LETTERS = 200
+
+
+def run(action: str, url: str, *, subject: str | None, delete: bool, as_json: bool) -> int:
+    """Run one of the ``lake`` commands and return its exit code.
+
+    Raises:
+        InvalidInputError: If the subject names no artefact or is no valid SQL.
+        LakeError: If the lake cannot be read.
+    """
+    from storage.lake import Lake
+
+    lake = Lake(url)
+    if action == "ls":
+        return _ls(lake, as_json)
+    if action == "show":
+        return _show(lake, str(subject), as_json)
+    if action == "lineage":
+        return _lineage(lake, str(subject), as_json)
+    if action == "sql":
+        return _sql(lake, str(subject), as_json)
+    if action == "verify":
+        return _verify(lake, as_json)
+    return _gc(lake, delete, as_json)
+
+
+def _ls(lake: Lake, as_json: bool) -> int:
+    rows = sorted((_row(lake, manifest) for manifest in lake.manifests()), key=lambda row: str(row["published_at"]))
+    if as_json:
+        write_json(rows)
+    elif not rows:
+        sys.stdout.write(f"the lake {lake.url} is empty\n")
+    else:
+        table = _table("artefact", "stage", "made at (UTC)", "took", "size")
+        for row in rows:
+            table.add_row(
+                f"{row['kind']}/{row['digest'][:12]}",
+                f"{row['stage']} v{row['version']}",
+                str(row["published_at"] or "")[:19].replace("T", " "),
+                "" if row["seconds"] is None else f"{row['seconds']:.2f} s",
+                _size(row["bytes"]),
+            )
+        print_table(table)
+    return 0
+
+
+def _show(lake: Lake, subject: str, as_json: bool) -> int:
+    ref = lake.resolve(subject)
+    manifest, artefact = lake.manifest(ref), lake.load(ref)
+    shown = {
+        **_row(lake, manifest),
+        "params": dict(manifest.about.params),
+        "inputs": dict(manifest.about.inputs),
+        "provenance": lake.provenance(ref),
+        "columns": list(_columns(artefact)),
+        "facts": _facts(artefact),
+        "causes": _causes(artefact),
+        "files": lake.paths(ref),
+    }
+    if as_json:
+        write_json(shown)
+        return 0
+    head = _table("", "")
+    head.show_header = False
+    head.add_row("artefact", f"{ref.kind}/{ref.digest}")
+    head.add_row("recipe", f"{manifest.about.stage} v{manifest.about.version}, key {ref.key}")
+    for name, digest in manifest.about.input_digests():
+        head.add_row(f"input {name}", digest)
+    for name, value in manifest.about.params.items():
+        head.add_row(f"param {name}", json.dumps(value))
+    for name, value in _facts(artefact).items():
+        head.add_row(f"fact {name}", str(value))
+    for name, path in lake.paths(ref).items():
+        head.add_row(f"file {name}", path)
+    print_table(head)
+    if shown["columns"]:
+        columns = _table("column", "rows", "type", "unit", "frame", "meaning")
+        for column in _columns(artefact):
+            columns.add_row(*(str(value) for value in column.values()))
+        print_table(columns)
+    for name, counts in _causes(artefact).items():
+        causes = _table(name, "rows")
+        for cause, count in counts.items():
+            causes.add_row(cause, str(count))
+        print_table(causes)
+    return 0
+
+
+def _lineage(lake: Lake, subject: str, as_json: bool) -> int:
+    lines = lake.lineage(lake.resolve(subject))
+    if as_json:
+        write_json(
+            [
+                {
+                    "depth": line.depth,
+                    "input": line.name,
+                    "digest": line.digest,
+                    **({} if line.manifest is None else _row(lake, line.manifest)),
+                }
+                for line in lines
+            ]
+        )
+        return 0
+    for line in lines:
+        if line.manifest is None:
+            origin = f"{line.digest[:12]}, which is not in the lake any more"
+        else:
+            about = line.manifest.about
+            origin = f"{line.manifest.kind}/{line.digest[:12]} by {about.stage} v{about.version}"
+        sys.stdout.write(f"{'  ' * line.depth}{f'{line.name}: ' if line.name else ''}{origin}\n")
+    return 0
+
+
+def _sql(lake: Lake, query: str, as_json: bool) -> int:
+    answer = lake.query(query)
+    rows: list[dict[str, Any]] = answer.to_pylist()
+    if as_json:
+        write_json(rows)
+        return 0
+    table = _table(*answer.column_names)
+    for row in rows:
+        table.add_row(*(str(value) for value in row.values()))
+    print_table(table)
+    return 0
+
+
+def _verify(lake: Lake, as_json: bool) -> int:
+    problems = lake.verify()
+    n_artefacts = sum(1 for _ in lake.manifests())
+    if as_json:
+        found = [{"address": problem.address, "fact": problem.fact} for problem in problems]
+        write_json({"artefacts": n_artefacts, "problems": found})
+    else:
+        for problem in problems:
+            sys.stdout.write(f"{problem}\n")
+        sys.stdout.write(f"{n_artefacts} artefacts checked, {len(problems)} problems\n")
+    return LakeError.exit_code if problems else 0
+
+
+def _gc(lake: Lake, delete: bool, as_json: bool) -> int:
+    swept = lake.gc(dry_run=not delete)
+    if as_json:
+        write_json(
+            {
+                "deleted": not swept.dry,
+                "files": swept.removed,
+                "bytes": swept.n_bytes,
+                "kept_files": swept.kept_files,
+                "notes": list(swept.notes),
+            }
+        )
+        return 0
+    for path, size in swept.removed.items():
+        sys.stdout.write(f"{path}  {_size(size)}\n")
+    sys.stdout.write(f"{swept}\n")
+    if swept.dry and swept.removed:
+        sys.stdout.write("nothing was deleted: add --yes to delete it\n")
+    return 0
+
+
+def _row(lake: Lake, manifest: Manifest) -> dict[str, Any]:
+    made = lake.provenance(manifest.key) or {}
+    return {
+        "kind": manifest.kind,
+        "digest": manifest.digest,
+        "key": manifest.key,
+        "stage": manifest.about.stage,
+        "version": manifest.about.version,
+        "published_at": made.get("published_at"),
+        "seconds": made.get("seconds"),
+        "bytes": sum(file.size for file in manifest.files.values()),
+    }
+
+
+def _columns(artefact: Artefact) -> Iterator[dict[str, Any]]:
+    from schemas.artefact import columns
+
+    for name, spec in columns(type(artefact)).items():
+        values = getattr(artefact, name)
+        width = "" if spec.width is None else f"[{values.shape[1]}]"
+        yield {
+            "name": f"{spec.table}.{name}",
+            "rows": len(values),
+            "type": f"{spec.dtype}{width}",
+            "unit": spec.unit,
+            "frame": spec.frame,
+            "meaning": spec.meaning,
+        }
+
+
+def _facts(artefact: Artefact) -> dict[str, Any]:
+    from schemas.artefact import specs
+
+    facts: dict[str, Any] = {}
+    for name, spec in specs(type(artefact)).items():
+        if spec.role == "fact":
+            value = getattr(artefact, name)
+            long = isinstance(value, str) and len(value) > _MOST_FACT_LETTERS
+            facts[name] = f"{value[:_MOST_FACT_LETTERS]}..." if long else value
+    return facts
+
+
+def _causes(artefact: Artefact) -> dict[str, dict[str, int]]:
+    """Count the rows of each column of causes: why samples or sweeps fell out."""
+    import numpy as np
+
+    from cellwright.causes import Cause
+    from schemas.artefact import columns
+
+    counted: dict[str, dict[str, int]] = {}
+    for name, spec in columns(type(artefact)).items():
+        if name in ("cause", "outcome"):
+            codes, counts = np.unique(getattr(artefact, name), return_counts=True)
+            counted[f"{spec.table}.{name}"] = {
+                Cause(code).label: int(count) for code, count in zip(codes, counts, strict=True)
+            }
+    return counted
+
+
+def _table(*columns: str) -> Table:
+    from rich.table import Table
+
+    table = Table(box=None, padding=(0, 2, 0, 0))
+    for column in columns:
+        table.add_column(column, overflow="fold")
+    return table
+
+
+def _size(n_bytes: int) -> str:
+    return f"{n_bytes / 1e6:.1f} MB" if n_bytes >= 1e5 else f"{n_bytes / 1e3:.1f} kB"

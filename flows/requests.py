@@ -1,0 +1,208 @@
+"""Turn a cell file into the parameters of every stage: the one place that knows both."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from cellwright.cell.part import METRES_PER_UNIT
+from cellwright.cell.urdf_geometry import mesh_references, resolve_mesh
+from cellwright.errors import InvalidInputError
+from schemas.body_params import BodyParams, BoxBody, CapsuleBody, CylinderBody, MeshBody, SphereBody
+from schemas.cell_file import CellFile, load_cell_file
+from schemas.cell_file_fields import BodySection
+from schemas.poses import Pose
+from schemas.scanner import SensingParams
+from tasks.assemble_cell import CellModelParams
+from tasks.extend_measurability import ExtensionParams
+from tasks.find_gaps import GapParams
+from tasks.follow_sweeps import SweepParams
+from tasks.measure_coverage import CoverageParams
+from tasks.measure_samples import MeasurabilityParams
+from tasks.preprocess_mesh import MeshParams
+from tasks.read_source import SourceParams
+from tasks.record_plan import RecordingParams
+from tasks.sample_surface import SurfaceParams
+from tasks.sample_viewpoints import ViewpointParams
+from tasks.select_views import SetCoverParams
+from tasks.simulate_scan import ScanParams
+from tasks.stitch_sweeps import StitchParams
+from tasks.trim_measurability import TrimParams
+from tasks.verify_plan import VerifyParams
+from tasks.write_report import ReportParams
+
+_SEED_STEP = 1_000_003
+"""Apart the seeds of the three clouds, so that none of them repeats another's random numbers."""
+
+
+class InspectionRequest(BaseModel):
+    """Everything that decides an inspection plan, stage by stage."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    name: str = Field(description="Name of the cell.")
+    part: SourceParams = Field(description="The workpiece's file.")
+    cell_files: tuple[SourceParams, ...] = Field(default=(), description="URDF, its meshes, meshes of other bodies.")
+    part_pose: Pose = Field(description="Pose of the part in the world; its height is found if it rests on a body.")
+    rests_on: str | None = Field(default=None, description="Body that the part stands on.")
+    cell: CellModelParams
+    mesh: MeshParams
+    samples: SurfaceParams
+    refinement_cloud: SurfaceParams
+    refinement_rounds: int = Field(default=3, ge=0, description="Most rounds of closing gaps between the samples.")
+    verification_cloud: SurfaceParams
+    viewpoints: ViewpointParams
+    sensing: MeasurabilityParams
+    sweeps: SweepParams
+    trimming: TrimParams = TrimParams()
+    cover: SetCoverParams
+    gaps: GapParams
+    extension: ExtensionParams
+    stitching: StitchParams
+    verification: VerifyParams
+    scan: ScanParams
+    coverage: CoverageParams
+    recording: RecordingParams = RecordingParams()
+    report: ReportParams
+
+
+def request_of(path: Path, overrides: Sequence[str] = ()) -> InspectionRequest:
+    """Read a cell file and return the request that it makes.
+
+    Raises:
+        InvalidInputError: If the cell file, or a file that it names, is malformed or missing.
+    """
+    file = load_cell_file(path, overrides)
+    planner = file.planner
+    sensing = SensingParams(scanner=file.scanner.params(), max_uncertainty_m=planner.measurability.max_uncertainty_m)
+    shared = sensing.model_dump()
+    reach, density = planner.reachability, planner.sampling.density_per_m2
+    cell_files, cell = _cell(file)
+    return InspectionRequest(
+        name=file.name,
+        part=SourceParams.of(file.part.file),
+        cell_files=cell_files,
+        part_pose=file.part.pose.pose(),
+        rests_on=file.part.rests_on,
+        cell=cell,
+        mesh=MeshParams(
+            unit=file.part.unit,
+            scale=file.part.scale,
+            up_part=file.part.up_part(),
+            critical_angle_rad=planner.sampling.critical_angle_rad,
+        ),
+        samples=SurfaceParams(method=planner.sampling.method, density_per_m2=density, seed=planner.seed),
+        refinement_cloud=SurfaceParams(
+            density_per_m2=planner.refinement.density_factor * density, seed=planner.seed + _SEED_STEP
+        ),
+        refinement_rounds=planner.refinement.rounds,
+        verification_cloud=SurfaceParams(
+            density_per_m2=planner.verification_cloud.density_factor * density, seed=planner.seed + 2 * _SEED_STEP
+        ),
+        viewpoints=ViewpointParams(
+            standoff_m=planner.viewpoints.standoffs_m(sensing.scanner),
+            delta_rot_rad=planner.viewpoints.delta_rot_rad,
+            theta_tilt_rad=planner.viewpoints.theta_tilt_rad,
+            psi_tilt_rad=planner.viewpoints.psi_tilt_rad,
+        ),
+        sensing=MeasurabilityParams(**shared),
+        sweeps=SweepParams(
+            step_m=reach.step_m,
+            margin_m=reach.margin_m,
+            shortest_m=reach.shortest_m,
+            scan_speed_m_s=reach.scan_speed_m_s,
+            clearance_m=reach.clearance_m,
+        ),
+        cover=SetCoverParams(
+            method=planner.selection.method,
+            min_coverage=planner.selection.min_coverage,
+            node_limit=planner.selection.node_limit,
+            time_limit_s=planner.selection.time_limit_s,
+        ),
+        gaps=GapParams(**shared),
+        extension=ExtensionParams(**shared),
+        stitching=StitchParams(
+            method=planner.stitching.method,
+            exact_up_to=planner.stitching.exact_up_to,
+            roadmap_nodes=planner.stitching.roadmap_nodes,
+            neighbours=planner.stitching.neighbours,
+            step_rad=planner.stitching.step_rad,
+            clearance_m=reach.clearance_m,
+            scan_speed_m_s=reach.scan_speed_m_s,
+            seed=planner.seed,
+        ),
+        verification=VerifyParams(scan_speed_m_s=reach.scan_speed_m_s),
+        scan=ScanParams(**shared, noise=planner.scan.noise, seed=planner.seed),
+        coverage=CoverageParams(**shared, radius_m=planner.scan.coverage_radius_m),
+        report=ReportParams(
+            title=planner.report.title or file.name,
+            notes=planner.report.notes or "",
+            max_uncertainty_m=sensing.max_uncertainty_m,
+        ),
+    )
+
+
+def _cell(file: CellFile) -> tuple[tuple[SourceParams, ...], CellModelParams]:
+    """Return the files that the cell is made of, each once, and how it is put together."""
+    sources: dict[str, SourceParams] = {}
+    robot = file.robot.model
+    if file.robot.urdf is not None:
+        robot = _add_urdf(file, sources)
+    params = CellModelParams(
+        robot=robot,
+        base_link=file.robot.base_link,
+        flange_link=file.robot.flange_link,
+        T_world_base=file.robot.base.pose(),
+        T_flange_scanner=file.scanner.mount.pose(),
+        housing=tuple(_body(body, sources) for body in file.scanner.housing),
+        bodies=tuple(_body(body, sources) for body in file.bodies()),
+        start_rad=file.robot.start_rad,
+        max_velocity_rad_s=file.robot.max_velocity_rad_s,
+        max_acceleration_rad_s2=file.robot.max_acceleration_rad_s2,
+    )
+    return tuple(sources.values()), params
+
+
+def _add_urdf(file: CellFile, sources: dict[str, SourceParams]) -> str:
+    urdf = Path(file.robot.model)
+    source = SourceParams.of(urdf)
+    sources[source.name] = source
+    try:
+        text = urdf.read_text("utf-8")
+    except UnicodeDecodeError as error:
+        raise InvalidInputError(f"{urdf} is not a URDF: it is not text in UTF-8") from error
+    try:
+        references = mesh_references(text)
+        meshes = [resolve_mesh(reference, urdf.parent, file.robot.packages) for reference in references]
+    except InvalidInputError as error:
+        raise InvalidInputError(f"{urdf}: {error}") from error
+    for path in meshes:
+        mesh = SourceParams.of(path)
+        known = sources.setdefault(mesh.name, mesh)
+        if known.sha256 != mesh.sha256:
+            raise InvalidInputError(f"{urdf} names two different meshes called {mesh.name}: rename one of them")
+    return source.name
+
+
+def _body(body: BodySection, sources: dict[str, SourceParams]) -> BodyParams:
+    pose = body.pose.pose()
+    if body.box is not None:
+        return BoxBody(name=body.name, pose=pose, size_m=body.box.size_m)
+    if body.cylinder is not None:
+        return CylinderBody(
+            name=body.name, pose=pose, radius_m=body.cylinder.radius_m, length_m=body.cylinder.length_m
+        )
+    if body.capsule is not None:
+        return CapsuleBody(name=body.name, pose=pose, radius_m=body.capsule.radius_m, length_m=body.capsule.length_m)
+    if body.sphere is not None:
+        return SphereBody(name=body.name, pose=pose, radius_m=body.sphere.radius_m)
+    if body.mesh is None:
+        raise InvalidInputError(f"body {body.name!r} has no shape: give it a box, cylinder, sphere, capsule or mesh")
+    # named after the body, so that meshes of one name from different folders do not meet
+    name = f"{body.name}: {body.mesh.file.name}"
+    sources[name] = SourceParams.of(body.mesh.file).model_copy(update={"name": name})
+    carries_unit = body.mesh.file.suffix.lower() in (".step", ".stp", ".3mf")
+    factor = body.mesh.scale * (1.0 if carries_unit else METRES_PER_UNIT[body.mesh.unit or "mm"])
+    return MeshBody(name=body.name, pose=pose, file=name, scale=(factor, factor, factor))

@@ -1,0 +1,267 @@
+"""Chain stages in a flow: each line one stage, inputs named after what they are, nothing computed twice.
+
+    with Steps(lake_url, refresh=frozenset({"select_views"}), watcher=progress) as step:
+        mesh = step(preprocess_mesh, request.mesh, source=part)
+        samples = step(sample_surface, request.planning, label="planning", mesh=mesh)
+
+A step is handed on before it is done; steps that do not wait for each other run side by side in the threads of the
+flow's task runner. Inside a Prefect flow each step is a task run named after its stage, ``Cached`` or ``Completed``.
+With ``direct=True`` the same stages run one after the other in this thread, without Prefect: for tests and notebooks.
+
+A failing stage raises its own error where its result, or the result of anything behind it, is asked for.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Callable, Collection, Iterator, Mapping
+from dataclasses import dataclass
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Self
+
+from flows.execution import (
+    WATCHER,
+    Outcome,
+    Unwatched,
+    Watcher,
+    checked_inputs,
+    open_lake,
+    run_in_lake,
+    run_patiently,
+    stage_named,
+    validated_params,
+)
+from schemas.params import Params
+from schemas.references import Ref
+from schemas.stage import Stage
+
+if TYPE_CHECKING:
+    from prefect.futures import PrefectFuture
+    from prefect.task_runners import TaskRunner
+
+
+def task_runner() -> TaskRunner[Any]:
+    """Return the task runner for flows that use `Steps`: threads, as many as there are cores."""
+    from prefect.task_runners import ThreadPoolTaskRunner
+
+    return ThreadPoolTaskRunner(max_workers=max(2, os.cpu_count() or 1))
+
+
+@dataclass(frozen=True, slots=True)
+class StepRecord:
+    """One step of a run for summaries and for the lake's run record.
+
+    Attributes:
+        name: The stage's name, with the step's label if it has one.
+        stage: The stage.
+        version: The stage's version.
+        ref: The artefact.
+        cached: Whether the lake had it.
+        seconds: Time from asking for it to having it; the waiting for its inputs is not in it.
+    """
+
+    name: str
+    stage: str
+    version: int
+    ref: Ref
+    cached: bool
+    seconds: float
+
+    def as_json(self) -> dict[str, str | int | float | bool]:
+        """Return the record as plain values, the reference spelled out."""
+        return {
+            "name": self.name,
+            "stage": self.stage,
+            "version": self.version,
+            "kind": self.ref.kind,
+            "key": self.ref.key,
+            "digest": self.ref.digest,
+            "cached": self.cached,
+            "seconds": round(self.seconds, 6),
+        }
+
+
+class Step:
+    """A stage that is under way or done: hand it to other steps, or ask for its reference."""
+
+    def __init__(self, stage: Stage, name: str, upstream: tuple[Step, ...]) -> None:
+        self.stage = stage
+        self.name = name
+        self._upstream = upstream
+        self._future: PrefectFuture[Ref] | None = None
+        self._outcome: Outcome | None = None
+
+    def __repr__(self) -> str:
+        return f"Step({self.name})"
+
+    def ref(self) -> Ref:
+        """Wait for the step and return the reference to its artefact.
+
+        Raises:
+            CellwrightError: The error of the first stage that failed on the way here, never that of its victim.
+        """
+        for step in self._upstream:
+            step.ref()
+        if self._outcome is not None:
+            return self._outcome.ref
+        if self._future is None:
+            raise RuntimeError(f"step {self.name} was never started")
+        return self._future.result()
+
+
+class Steps:
+    """Runs the stages of one flow run against one lake. Use as a context manager: leaving it waits for every step.
+
+    Args:
+        lake_url: Folder or object-store address of the lake.
+        refresh: Names of stages to compute although the lake has them.
+        watcher: Hears of starts, progress and ends, in this process.
+        direct: Call the stages one after the other in this thread, without Prefect.
+
+    Raises:
+        InvalidInputError: If ``refresh`` names a stage that does not exist.
+    """
+
+    def __init__(
+        self,
+        lake_url: str,
+        *,
+        refresh: Collection[str] = frozenset(),
+        watcher: Watcher | None = None,
+        direct: bool = False,
+    ) -> None:
+        for name in refresh:
+            stage_named(name)
+        self._lake_url = lake_url
+        self._refresh = frozenset(refresh)
+        self._clock = _StopWatch(watcher or Unwatched())
+        self._direct = direct
+        self._steps: dict[str, Step] = {}
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if error is None:
+            for step in self._steps.values():
+                step.ref()
+
+    def __call__(self, stage: Stage, params: Params | Mapping[str, Any], /, *, label: str = "", **inputs: Any) -> Step:
+        """Start a stage on its inputs: steps, references, tuples of them, or ``None`` where it allows that.
+
+        Args:
+            stage: The stage, one of `tasks.STAGES`.
+            params: Its parameters, checked before anything runs.
+            label: Tells apart several steps of one stage.
+            inputs: Its inputs by name.
+
+        Raises:
+            InvalidInputError: If the parameters do not fit the stage.
+            TypeError: If the inputs are not those that the stage takes.
+            CellwrightError: With ``direct``, what the stage raises.
+        """
+        checked = validated_params(stage, params)
+        checked_inputs(stage, {name: _each(given, _expected) for name, given in inputs.items()})
+        upstream = tuple(one for given in inputs.values() for one in _members(given) if isinstance(one, Step))
+        step = Step(stage, self._free_name(stage, label), upstream)
+        refresh = stage.name in self._refresh
+        with self._clock.listening():
+            if self._direct:
+                ready = {name: _each(given, _ready) for name, given in inputs.items()}
+                lake = open_lake(self._lake_url)
+                step._outcome = run_patiently(
+                    lambda: run_in_lake(stage, lake, checked, ready, name=step.name, refresh=refresh)
+                )
+            else:
+                from flows.stage_task import task_for
+
+                pending = {name: _each(given, _pending) for name, given in inputs.items()}
+                plain = checked.model_dump(mode="json")
+                step._future = task_for(stage.name, step.name).submit(
+                    stage.name, step.name, self._lake_url, plain, pending, refresh
+                )
+        self._steps[step.name] = step
+        return step
+
+    def records(self) -> list[StepRecord]:
+        """Wait for every step and return what became of each, in the order in which they were started.
+
+        Raises:
+            CellwrightError: The error of the first step that failed.
+        """
+        return [self._record(step) for step in self._steps.values()]
+
+    def record_run(self, run_id: str, **facts: Any) -> None:
+        """Write down in the lake what this run used, so that it is kept when the lake is swept.
+
+        Raises:
+            LakeError: If the lake cannot be written.
+        """
+        steps = [record.as_json() for record in self.records()]
+        open_lake(self._lake_url).record_run(run_id, {**facts, "steps": steps})
+
+    def _record(self, step: Step) -> StepRecord:
+        ref = step.ref()
+        cached, seconds = self._clock.ended[step.name]
+        return StepRecord(step.name, step.stage.name, step.stage.version, ref, cached, seconds)
+
+    def _free_name(self, stage: Stage, label: str) -> str:
+        wanted = f"{stage.name} {label}".strip()
+        name, count = wanted, 1
+        while name in self._steps:
+            count += 1
+            name = f"{wanted} {count}"
+        return name
+
+
+class _StopWatch:
+    """Passes everything on to the run's own watcher and keeps how each step ended."""
+
+    def __init__(self, watcher: Watcher) -> None:
+        self._watcher = watcher
+        self.ended: dict[str, tuple[bool, float]] = {}
+
+    @contextlib.contextmanager
+    def listening(self) -> Iterator[None]:
+        token = WATCHER.set(self)
+        try:
+            yield
+        finally:
+            WATCHER.reset(token)
+
+    def started(self, name: str) -> None:
+        self._watcher.started(name)
+
+    def advanced(self, name: str, share: float) -> None:
+        self._watcher.advanced(name, share)
+
+    def finished(self, name: str, *, cached: bool, seconds: float) -> None:
+        self.ended[name] = (cached, seconds)
+        self._watcher.finished(name, cached=cached, seconds=seconds)
+
+    def failed(self, name: str) -> None:
+        self._watcher.failed(name)
+
+
+def _members(given: Any) -> tuple[Any, ...]:
+    return given if isinstance(given, tuple) else (given,)
+
+
+def _each(given: Any, change: Callable[[Any], Any]) -> Any:
+    return tuple(change(one) for one in given) if isinstance(given, tuple) else change(given)
+
+
+def _expected(one: Any) -> Any:
+    """Stand in for a step that is not done, so that its kind can be checked before anything runs."""
+    return Ref(one.stage.output.KIND, "", "") if isinstance(one, Step) else one
+
+
+def _ready(one: Any) -> Any:
+    return one.ref() if isinstance(one, Step) else one
+
+
+def _pending(one: Any) -> Any:
+    return one._future if isinstance(one, Step) else one

@@ -1,0 +1,150 @@
+"""Run a study: one inspection for each point of a grid, one table, and the pictures.
+
+Runs share every stage that does not differ, through the lake; the seconds in the table are those of the run that
+computed the stage, whenever that was. A run without a solution is a row with its message, not the end of the study.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from cellwright.errors import InfeasibleError, InvalidInputError
+from flows.examples import find_cell_file
+from flows.execution import Watcher
+from schemas.study_file import GridPoint, StudyFile, grid, load_study_file
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+
+@dataclass(frozen=True)
+class StudyResult:
+    """What a study produced.
+
+    Attributes:
+        study: The study file.
+        rows: One mapping a run: points by axis, figures of the plan, seconds by stage, ``error`` if it failed.
+        files: Paths of table and figures.
+    """
+
+    study: StudyFile
+    rows: list[dict[str, Any]]
+    files: dict[str, Path]
+
+    def as_json(self) -> Mapping[str, Any]:
+        """Return the result as plain values."""
+        files = {name: str(path) for name, path in self.files.items()}
+        return {"study": self.study.name, "rows": self.rows, "files": files}
+
+    def show(self, console: Console) -> None:
+        """Print the table's main columns and the paths."""
+        from rich.table import Table
+
+        table = Table(title=self.study.name, title_justify="left")
+        for axis in self.study.axes:
+            table.add_column(axis)
+        for name in ("candidates", "sweeps", "samples", "coverage", "cycle", "planning"):
+            table.add_column(name, justify="right")
+        for row in self.rows:
+            names = [row[axis] for axis in self.study.axes]
+            if row["error"]:
+                table.add_row(*names, row["error"], *[""] * 5)
+                continue
+            table.add_row(
+                *names,
+                f"{row['candidates']:,}",
+                str(row["sweeps"]),
+                f"{row['coverage_of_samples']:.1%}",
+                f"{row['coverage']:.2%}",
+                f"{row['duration_s']:.1f} s",
+                f"{row['planning_s']:.1f} s",
+            )
+        console.print(table)
+        for name, path in self.files.items():
+            console.print(f"{name}: {path}", soft_wrap=True)
+
+
+def run(
+    study_path: Path, *, lake: str, refresh: Collection[str], out: Path | None, watcher: Watcher, direct: bool = False
+) -> StudyResult:
+    """Run every point of a study's grid and write table and figures into ``out`` (default: a folder named after it).
+
+    Raises:
+        InvalidInputError: If the study file or one of its settings is malformed; nothing runs then.
+        LakeError: If the lake fails.
+    """
+    from schemas.cell_file import load_cell_file
+
+    study = load_study_file(study_path)
+    cell = _cell_file(study)
+    points = grid(study)
+    for point in points:
+        load_cell_file(cell, point.overrides)
+    folder = out or Path(study_path.stem)
+    rows = [
+        # a stage is refreshed once, not once a run
+        _row(cell, point, lake, refresh if number == 0 else frozenset(), watcher, direct)
+        for number, point in enumerate(points)
+    ]
+    return StudyResult(study, rows, _write(study, rows, folder))
+
+
+def _cell_file(study: StudyFile) -> Path:
+    beside = study.path.parent / study.cell
+    return beside if beside.is_file() else find_cell_file(study.cell)
+
+
+def _row(
+    cell: Path, point: GridPoint, lake: str, refresh: Collection[str], watcher: Watcher, direct: bool
+) -> dict[str, Any]:
+    from flows import inspection
+
+    row: dict[str, Any] = {**point.point, "error": ""}
+    try:
+        result = inspection.run(
+            cell, overrides=point.overrides, lake=lake, refresh=refresh, out=None, watcher=watcher, direct=direct
+        )
+    except InfeasibleError as error:
+        return {**row, "error": str(error)}
+    figures = {name: value for name, value in result.summary.items() if isinstance(value, int | float | str)}
+    seconds = result.computing_seconds()
+    planning = sum(spent for name, spent in seconds.items() if name.split()[0] in inspection.PLANNING_STAGES)
+    return {**row, **figures, "planning_s": planning, **{f"{name} [s]": spent for name, spent in seconds.items()}}
+
+
+def _write(study: StudyFile, rows: list[dict[str, Any]], folder: Path) -> dict[str, Path]:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    from cellwright.figures.study_charts import study_chart
+
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InvalidInputError(f"cannot write into {folder}: {error.strerror}: choose another --out") from error
+    columns = list(dict.fromkeys(name for row in rows for name in row))
+    table = pa.table({name: [row.get(name) for row in rows] for name in columns})
+    files = {"table": folder / "table.parquet"}
+    pq.write_table(table, files["table"])
+    solved = [row for row in rows if not row["error"]]
+    axes = {axis: list(points) for axis, points in study.axes.items()}
+    for number, figure in enumerate(study.figures, 1):
+        picture = study_chart(
+            solved,
+            study.published,
+            axes,
+            title=figure.title,
+            x=figure.x,
+            y=figure.y,
+            y_label=figure.y_label or figure.y,
+            lines=figure.lines,
+            panels=figure.panels,
+            log=figure.scale == "log",
+            factor=figure.factor,
+        )
+        files[figure.title] = folder / f"figure_{number}_{figure.y}.png"
+        files[figure.title].write_bytes(picture)
+    return files

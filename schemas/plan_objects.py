@@ -1,0 +1,135 @@
+"""Turn the artefacts of a plan into the library's objects, and check that they belong together."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cellwright.arrays import FloatArray
+from cellwright.cell.transforms import pose, rotation_from_quaternion
+from cellwright.errors import InvalidInputError
+from cellwright.solvers.planned_sweep import ExecutablePiece, PlannedSweep
+from schemas.motion import Trajectory
+from schemas.views import Reachability, Viewpoints, ViewSelection
+
+if TYPE_CHECKING:
+    from cellwright.solvers.plan_verification import TimedPlan
+    from cellwright.solvers.stitching import StitchedPlan
+
+SAME_TRAVEL = 1e-9
+"""Metres within which two travels are one."""
+
+
+def planned_sweeps(
+    viewpoints: Viewpoints, reachability: Reachability, selection: ViewSelection, T_world_part: FloatArray
+) -> list[PlannedSweep]:
+    """Return the selected sweeps in the order of the selection, each with the pieces that can execute it.
+
+    What must be executed is the interval of a view's first piece, its best one; the other pieces of the view
+    that hold this interval are alternatives.
+
+    Raises:
+        InvalidInputError: If a selected view does not exist, has no piece, or is selected twice.
+    """
+    n_views = len(viewpoints.sample)
+    chosen = selection.view
+    if len(np.unique(chosen)) != len(chosen):
+        raise InvalidInputError(f"{len(chosen)} views are selected but only {len(np.unique(chosen))} different ones")
+    sweeps = []
+    for view in chosen.tolist():
+        if not 0 <= view < n_views:
+            raise InvalidInputError(
+                f"view {view} is selected but there are {n_views} viewpoints: these do not belong together"
+            )
+        first, last = np.searchsorted(reachability.view, [view, view + 1])
+        if first == last:
+            raise InvalidInputError(
+                f"view {view} is selected but has no executable piece: select views after following them"
+            )
+        interval = float(reachability.start_m[first]), float(reachability.end_m[first])
+        T_part_scanner = pose(viewpoints.position_m[view], rotation_from_quaternion(viewpoints.quaternion[view]))
+        pieces = tuple(
+            ExecutablePiece(
+                int(reachability.branch[row]),
+                float(reachability.start_m[row]),
+                float(reachability.end_m[row]),
+                reachability.q_start_rad[row],
+            )
+            for row in range(int(first), int(last))
+            if reachability.start_m[row] <= interval[0] + SAME_TRAVEL
+            and reachability.end_m[row] >= interval[1] - SAME_TRAVEL
+        )
+        sweeps.append(PlannedSweep(f"view {view}", T_world_part @ T_part_scanner, interval, pieces))
+    return sweeps
+
+
+def trajectory_of(plan: StitchedPlan, selection: ViewSelection) -> Trajectory:
+    """Return the artefact of a stitched plan.
+
+    Times rise strictly: the state at which a connection and a sweep meet is stored once, as one of the sweep.
+    """
+    rows: dict[str, list[FloatArray]] = {name: [] for name in ("time", "q", "v", "a", "segment", "travel")}
+    bounds = [0.0]
+    for number, segment in enumerate(plan.segments):
+        motion, sweeps = segment.motion, segment.sweep >= 0
+        first = 1 if number > 0 and not sweeps else 0
+        last = len(motion.time) - (1 if number < len(plan.segments) - 1 and not sweeps else 0)
+        own = slice(first, last)
+        n_joints = motion.position.shape[1] - (1 if sweeps else 0)
+        rows["time"].append(bounds[-1] + motion.time[own])
+        rows["q"].append(motion.position[own, :n_joints])
+        rows["v"].append(motion.velocity[own, :n_joints])
+        rows["a"].append(motion.acceleration[own, :n_joints])
+        rows["segment"].append(np.full(last - first, number))
+        rows["travel"].append(motion.position[own, n_joints] if sweeps else np.full(last - first, np.nan))
+        bounds.append(bounds[-1] + motion.duration)
+    joined = {name: np.concatenate(parts) for name, parts in rows.items()}
+    segments = plan.segments
+    return Trajectory(
+        time_s=joined["time"],
+        position_rad=joined["q"],
+        velocity_rad_s=joined["v"],
+        acceleration_rad_s2=joined["a"],
+        segment=joined["segment"].astype(np.int32),
+        travel_m=joined["travel"],
+        kind=tuple("sweep" if segment.sweep >= 0 else "connection" for segment in segments),
+        view=np.array([selection.view[s.sweep] if s.sweep >= 0 else -1 for s in segments], np.int32),
+        branch=np.array([segment.branch for segment in segments], np.int8),
+        direction=np.array([segment.direction for segment in segments], np.int8),
+        start_s=np.array(bounds[:-1]),
+        end_s=np.array(bounds[1:]),
+        via=tuple(segment.via for segment in segments),
+        order_method=tuple(plan.durations),
+        order_duration_s=np.array(list(plan.durations.values())),
+        order_chosen=np.array([name == plan.chosen for name in plan.durations]),
+    )
+
+
+def timed_plan(trajectory: Trajectory, selection: ViewSelection) -> TimedPlan:
+    """Return a trajectory as verification takes it; segments name sweeps by their row in the selection.
+
+    Raises:
+        InvalidInputError: If the trajectory executes a view that is not selected.
+    """
+    from cellwright.solvers.plan_verification import ExecutedSegment, TimedPlan
+
+    row_of = {view: row for row, view in enumerate(selection.view.tolist())}
+    segments = []
+    for kind, view, start, end in zip(
+        trajectory.kind, trajectory.view.tolist(), trajectory.start_s.tolist(), trajectory.end_s.tolist(), strict=True
+    ):
+        if kind == "sweep" and view not in row_of:
+            raise InvalidInputError(
+                f"the trajectory executes view {view}, which is not selected: these do not belong together"
+            )
+        segments.append(ExecutedSegment(row_of[view] if kind == "sweep" else -1, start, end))
+    return TimedPlan(
+        trajectory.time_s,
+        trajectory.position_rad,
+        trajectory.velocity_rad_s,
+        trajectory.acceleration_rad_s2,
+        trajectory.segment,
+        trajectory.travel_m,
+        tuple(segments),
+    )

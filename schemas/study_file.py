@@ -1,0 +1,113 @@
+"""The study file: one flow over a grid of settings, and the pictures to draw of it.
+
+Every axis is a list of named points; a point is a set of cell-file settings. The grid is all combinations. What a
+paper published for some of the points can stand beside the results.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import yaml
+from pydantic import Field, ValidationError, field_validator
+
+from cellwright.errors import InvalidInputError, listed
+from schemas.cell_file_document import read_document
+from schemas.cell_file_fields import Section
+from schemas.cell_file_messages import faults_of, refusal
+
+Settings = dict[str, Any]
+"""Cell-file settings by their path: ``{planner.sampling.density: 0.005 /mm^2}``."""
+
+
+class FigureSection(Section):
+    """One picture: a metric over an axis, one line for each point of another axis, one panel for each of a third."""
+
+    title: str = Field(description="Heading.")
+    x: str = Field(description="Axis along the picture.")
+    y: str = Field(description="Column of the study's table.")
+    y_label: str = Field(default="", description="Label of the y axis; the column's name if left out.")
+    lines: str | None = Field(default=None, description="Axis whose points are lines.")
+    panels: str | None = Field(default=None, description="Axis whose points are panels side by side.")
+    scale: Literal["linear", "log"] = Field(default="linear", description="Scale of the y axis.")
+    factor: float = Field(default=1.0, description="Factor on the column, e.g. 100 for percent.")
+
+
+class StudyFile(Section):
+    """A whole study file."""
+
+    path: Path = Field(alias="__path__", exclude=True)
+    version: Literal[1] = Field(alias="cellwright-study", description="Version of the study file: 1.")
+    name: str = Field(description="Name of the study.", min_length=1)
+    cell: str = Field(description="Cell file, relative to the study file, or the name of a built-in example.")
+    settings: Settings = Field(default={}, alias="set", description="Settings of all runs.")
+    axes: dict[str, dict[str, Settings]] = Field(description="The grid: axis, point, settings.", min_length=1)
+    figures: tuple[FigureSection, ...] = Field(default=(), description="The pictures.")
+    published: tuple[dict[str, Any], ...] = Field(
+        default=(), description="Published results: axis points and columns, drawn beside ours."
+    )
+
+    @field_validator("axes", mode="before")
+    @classmethod
+    def _named_points(cls, value: Any) -> Any:
+        if not isinstance(value, dict):
+            return value
+        return {
+            str(axis): {str(name): ({} if point is None else point) for name, point in points.items()}
+            if isinstance(points, dict)
+            else points
+            for axis, points in value.items()
+        }
+
+
+@dataclass(frozen=True)
+class GridPoint:
+    """One run of a study: the names of its points by axis, and its settings as ``path=value`` texts."""
+
+    point: dict[str, str]
+    overrides: tuple[str, ...]
+
+
+def load_study_file(path: Path) -> StudyFile:
+    """Read and check a study file.
+
+    Raises:
+        InvalidInputError: If it is malformed; the message names file, field, value and mend.
+    """
+    document = read_document(path)
+    try:
+        study = StudyFile.model_validate({**document.data, "__path__": path})
+    except ValidationError as error:
+        raise refusal(document, faults_of(error, StudyFile, document)) from error
+    for axis, points in study.axes.items():
+        if not points:
+            raise InvalidInputError(f"study file {path}: axes.{axis} has no points: add one or remove the axis")
+    for figure in study.figures:
+        for role, named in (("x", figure.x), ("lines", figure.lines), ("panels", figure.panels)):
+            if named is not None and named not in study.axes:
+                raise InvalidInputError(
+                    f"study file {path}: figure {figure.title!r} has {role}: {named}, "
+                    f"which is no axis: use one of {listed(study.axes)}"
+                )
+    return study
+
+
+def grid(study: StudyFile) -> list[GridPoint]:
+    """Return every combination of the axes' points, the last axis running fastest."""
+    runs = []
+    for names in itertools.product(*(points for points in study.axes.values())):
+        point = dict(zip(study.axes, names))
+        merged: Settings = dict(study.settings)
+        for axis, name in point.items():
+            merged.update(study.axes[axis][name])
+        runs.append(GridPoint(point, tuple(f"{path}={_flow_text(value)}" for path, value in merged.items())))
+    return runs
+
+
+def _flow_text(value: Any) -> str:
+    """Write a YAML value on one line, as ``--set`` takes it."""
+    text: str = yaml.safe_dump(value, default_flow_style=True, width=10**6)
+    return text.strip().removesuffix("...").strip()

@@ -1,0 +1,56 @@
+"""The library's objects behind the artefacts of sweeps: what blocks their sight, and where they run."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cellwright.arrays import Int32Array
+from schemas.part import PartMesh
+from schemas.views import Reachability, Viewpoints
+
+if TYPE_CHECKING:
+    from cellwright.cell.occlusion import Occluder
+    from cellwright.solvers.measurability import Sweeps
+
+
+def part_occluder(mesh: PartMesh) -> Occluder:
+    """Return the part as what stands in the way, in the frame `part`.
+
+    Raises:
+        InvalidInputError: If the mesh has vertices that are not finite.
+    """
+    from cellwright.cell.bodies import Mesh
+    from cellwright.cell.occlusion import Occluder
+
+    return Occluder(Mesh(mesh.vertices_m, mesh.faces))
+
+
+def candidate_sweeps(viewpoints: Viewpoints) -> Sweeps:
+    """Return all candidates with unlimited travel, row for row."""
+    from cellwright.cell.transforms import rotation_from_quaternion
+    from cellwright.solvers.measurability import Sweeps
+
+    return Sweeps.untrimmed(viewpoints.position_m, rotation_from_quaternion(viewpoints.quaternion))
+
+
+def piece_sweeps(viewpoints: Viewpoints, reachability: Reachability, rows: Int32Array) -> Sweeps:
+    """Return executable pieces as sweeps; ``rows`` (sweeps,) are rows of the pieces."""
+    from cellwright.cell.transforms import rotation_from_quaternion
+    from cellwright.solvers.measurability import Sweeps
+
+    view = reachability.view[rows]
+    return Sweeps(
+        viewpoints.position_m[view],
+        rotation_from_quaternion(viewpoints.quaternion[view]),
+        reachability.start_m[rows],
+        reachability.end_m[rows],
+    )
+
+
+def best_pieces(reachability: Reachability, views: Int32Array | None = None) -> Int32Array:
+    """Return the row of the first piece of each view that has one, by view; ``views`` limits them to these."""
+    found, rows = np.unique(reachability.view, return_index=True)
+    kept = np.ones(len(found), bool) if views is None else np.isin(found, views)
+    return rows[kept].astype(np.int32)

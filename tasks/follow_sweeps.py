@@ -1,0 +1,83 @@
+"""Follow every candidate sweep with the arm and keep the pieces that it can execute (Kaiser 2021, section 4.2).
+
+Each view's useful interval plus a margin is cut into poses; all inverse kinematics branches are tested for joint
+limits, collisions and continuity at the scanning speed. Views without an executable piece say why: the furthest test
+that any branch reached, and for collisions the body that was in the way of most poses.
+"""
+
+from __future__ import annotations
+
+from pydantic import Field
+
+from schemas.params import Params
+from schemas.part import PartMesh
+from schemas.poses import Pose
+from schemas.sources import CellModel
+from schemas.stage import Progress, no_progress, stage
+from schemas.views import Measurability, Reachability, Viewpoints
+
+
+class SweepParams(Params):
+    """Settings of the reachability stage."""
+
+    T_world_part: Pose = Field(default=Pose(), description="Pose of the part in the world.")
+    step_m: float = Field(default=0.005, gt=0, le=0.05, description="Largest distance of the checked poses on a sweep.")
+    margin_m: float = Field(default=0.030, ge=0, description="Run-in and run-out beyond the outermost samples.")
+    shortest_m: float = Field(default=0.050, gt=0, description="Shortest piece worth executing (paper: 50 mm).")
+    scan_speed_m_s: float = Field(default=0.1, gt=0, description="Speed of the scanner on a sweep.")
+    clearance_m: float = Field(default=0.005, ge=0, description="Distance kept between bodies.")
+    max_exact_checks: int = Field(
+        default=20_000,
+        ge=0,
+        description="Most states that the exact collision engine is asked about where the fast filter leaves them open.",
+    )
+
+
+@stage(version=1)
+def follow_sweeps(
+    cell: CellModel,
+    mesh: PartMesh,
+    viewpoints: Viewpoints,
+    measurability: Measurability,
+    *,
+    params: SweepParams,
+    progress: Progress = no_progress,
+) -> Reachability:
+    """Find the executable pieces of all views that measure a sample.
+
+    Raises:
+        InvalidInputError: If the inputs do not belong together or the arm has no inverse kinematics.
+        InfeasibleError: If the robot's base collides with the part or the cell, so that no sweep can be executed.
+    """
+    from cellwright.cell.scene import Scene
+    from cellwright.errors import InfeasibleError
+    from cellwright.solvers.sweep_following import FollowSettings
+    from cellwright.solvers.sweep_following import follow_sweeps as follow
+    from schemas.cell_objects import build_cell
+    from schemas.reach_objects import reachability_of, standing_pair, sweeps_to_follow
+
+    T_world_part = params.T_world_part.matrix()
+    built = build_cell(cell, mesh, T_world_part)
+    sweeps = sweeps_to_follow(viewpoints, measurability, T_world_part)
+    scene = Scene(built, params.clearance_m)
+    touching = standing_pair(scene, built)
+    if touching is not None:
+        raise InfeasibleError(
+            f"{touching[0]} and {touching[1]}, which both stand still, are closer than {params.clearance_m * 1e3:.3g} mm: "
+            "no configuration is free; move one of them, or declare that they may touch"
+        )
+    followed = follow(
+        built,
+        sweeps,
+        settings=FollowSettings(
+            margin=params.margin_m,
+            step=params.step_m,
+            scan_speed=params.scan_speed_m_s,
+            shortest=params.shortest_m,
+            clearance=params.clearance_m,
+            max_exact_checks=params.max_exact_checks,
+        ),
+        exact=scene.collides,
+        progress=progress,
+    )
+    return reachability_of(followed, tuple(body.name for body in built.bodies))

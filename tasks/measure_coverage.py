@@ -1,0 +1,107 @@
+"""Measure what the executed scan covers, on a cloud that no planning stage has seen, and say why it misses the rest."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from pydantic import Field
+
+from cellwright.causes import Cause
+from cellwright.errors import InvalidInputError
+from schemas.motion import ScanCloud
+from schemas.part import PartMesh, SurfaceSamples
+from schemas.scanner import SensingParams
+from schemas.stage import stage
+from schemas.views import Coverage, Reachability, Viewpoints, ViewSelection
+
+if TYPE_CHECKING:
+    from cellwright.arrays import FloatArray
+
+
+class CoverageParams(SensingParams):
+    """Settings of the coverage measurement."""
+
+    radius_m: float = Field(default=2e-3, gt=0, description="Largest distance of a scan point that measures a point.")
+
+
+@stage(version=1)
+def measure_coverage(
+    mesh: PartMesh,
+    cloud: SurfaceSamples,
+    scan: ScanCloud,
+    viewpoints: Viewpoints,
+    reachability: Reachability,
+    selection: ViewSelection,
+    *,
+    params: CoverageParams,
+) -> Coverage:
+    """Return which points of the cloud the scan measured; all pieces of all candidates are asked about the others.
+
+    The share of the coverable is 0 if no candidate can measure anything.
+
+    Raises:
+        InvalidInputError: If the artefacts do not belong together.
+    """
+    from cellwright.solvers.coverage import CandidatePieces, explain_misses, match_points
+    from schemas.sweep_objects import candidate_sweeps, part_occluder
+
+    n_views = len(viewpoints.sample)
+    if len(reachability.outcome) != n_views:
+        raise InvalidInputError(
+            f"there are {n_views} viewpoints but reachability knows {len(reachability.outcome)}: give those that it "
+            "was made of"
+        )
+    uncertainty = match_points(
+        cloud.points_m,
+        cloud.normals,
+        scan.points_m.astype(float),
+        _scanned_normals(mesh, scan),
+        scan.uncertainty_m,
+        params.radius_m,
+    )
+    missed = np.flatnonzero(np.isnan(uncertainty))
+    selected = np.zeros(n_views, bool)
+    selected[selection.view] = True
+    misses = explain_misses(
+        params.scanner.scanner(),
+        params.max_uncertainty_m,
+        part_occluder(mesh),
+        cloud.points_m[missed],
+        cloud.normals[missed],
+        CandidatePieces(
+            sweeps=candidate_sweeps(viewpoints),
+            view=reachability.view,
+            start=reachability.start_m,
+            end=reachability.end_m,
+            outcome=reachability.outcome,
+            blocked_by=reachability.blocked_by,
+            selected=selected,
+        ),
+    )
+    n_points = len(uncertainty)
+    coverable, cause = np.ones(n_points, bool), np.full(n_points, Cause.NONE, np.int8)
+    blocked_by = np.full(n_points, -1, np.int32)
+    coverable[missed], cause[missed], blocked_by[missed] = misses.coverable, misses.cause, misses.blocked_by
+    n_measured = n_points - len(missed)
+    return Coverage(
+        measured=~np.isnan(uncertainty),
+        coverable=coverable,
+        cause=cause,
+        blocked_by=blocked_by,
+        uncertainty_m=uncertainty,
+        body=reachability.body,
+        radius_m=params.radius_m,
+        share_measured=n_measured / max(n_points, 1),
+        share_of_coverable=n_measured / max(int(coverable.sum()), 1),
+    )
+
+
+def _scanned_normals(mesh: PartMesh, scan: ScanCloud) -> FloatArray:
+    """Return the normals of the sides that were hit, (points, 3): on two-sided meshes the side that faces the laser."""
+    normals = mesh.normals[scan.face]
+    if mesh.two_sided:
+        rays = scan.points_m - scan.position_m[scan.profile]
+        behind = np.einsum("ij,ij->i", normals, rays) > 0
+        normals = np.where(behind[:, None], -normals, normals)
+    return np.asarray(normals)

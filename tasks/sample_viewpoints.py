@@ -1,0 +1,70 @@
+"""Set up the candidate sweeps: a grid of tilts and standoffs at every surface sample (Kaiser 2021, section 4.2)."""
+
+from __future__ import annotations
+
+import math
+
+from pydantic import Field, field_validator
+
+from schemas.params import Params
+from schemas.part import SurfaceSamples
+from schemas.stage import stage
+from schemas.views import Viewpoints
+
+_THIRD = math.radians(120.0)
+_TILT = math.radians(30.0)
+
+
+class ViewpointParams(Params):
+    """Settings of viewpoint sampling; ``(0,)`` for all three angles is the paper's planning without tilts."""
+
+    standoff_m: tuple[float, ...] = Field(
+        default=(0.182,), min_length=1, description="Distances from the sample along the viewing axis."
+    )
+    delta_rot_rad: tuple[float, ...] = Field(
+        default=(0.0, _THIRD, 2 * _THIRD), min_length=1, description="Rotations about the viewing axis z."
+    )
+    theta_tilt_rad: tuple[float, ...] = Field(
+        default=(-_TILT, 0.0, _TILT), min_length=1, description="Tilts about the sweep's axis x."
+    )
+    psi_tilt_rad: tuple[float, ...] = Field(
+        default=(-_TILT, 0.0, _TILT), min_length=1, description="Tilts about the laser line y."
+    )
+
+    @field_validator("standoff_m")
+    @classmethod
+    def _positive(cls, value: tuple[float, ...]) -> tuple[float, ...]:
+        if min(value) <= 0:
+            raise ValueError(f"standoff {min(value)} m is not positive")
+        return value
+
+    @field_validator("theta_tilt_rad", "psi_tilt_rad")
+    @classmethod
+    def _in_front(cls, value: tuple[float, ...]) -> tuple[float, ...]:
+        worst = max(value, key=abs)
+        if abs(worst) >= math.pi / 2:
+            raise ValueError(f"tilt {worst:.4g} rad looks along the surface or from behind: stay below pi/2")
+        return value
+
+
+@stage(version=1)
+def sample_viewpoints(samples: SurfaceSamples, *, params: ViewpointParams) -> Viewpoints:
+    """Return one candidate sweep for each sample, standoff and tilt, sample by sample.
+
+    Raises:
+        InvalidInputError: Never; the params are validated and the samples carry unit normals.
+    """
+    from cellwright.cell.transforms import quaternion_from_rotation
+    from cellwright.solvers.viewpoints import TiltGrid, candidate_poses
+
+    grid = TiltGrid(params.standoff_m, params.delta_rot_rad, params.theta_tilt_rad, params.psi_tilt_rad)
+    poses = candidate_poses(samples.points_m, samples.normals, grid)
+    return Viewpoints(
+        sample=poses.sample,
+        position_m=poses.position,
+        quaternion=quaternion_from_rotation(poses.rotation),
+        delta_rot_rad=poses.tilt[:, 1],
+        theta_tilt_rad=poses.tilt[:, 2],
+        psi_tilt_rad=poses.tilt[:, 3],
+        standoff_m=poses.tilt[:, 0],
+    )

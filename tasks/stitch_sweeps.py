@@ -1,0 +1,123 @@
+"""Order the selected sweeps and connect them into one timed, collision-free plan (Kaiser 2021, section 4.4).
+
+Connections come from one lazy probabilistic roadmap; the order is the paper's greedy one and, up to
+``exact_up_to`` sweeps, the one proven shortest by dynamic programming on the same connection costs. Both are
+stored with their durations. Everything is timed as fast as joints and scan speed allow.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Literal
+
+from pydantic import Field
+
+from schemas.motion import Trajectory
+from schemas.params import Params
+from schemas.part import PartMesh
+from schemas.poses import Pose
+from schemas.sources import CellModel
+from schemas.stage import Progress, no_progress, stage
+from schemas.views import Reachability, Viewpoints, ViewSelection
+
+
+class StitchParams(Params):
+    """Settings of the stitching stage."""
+
+    T_world_part: Pose = Field(default=Pose(), description="Pose of the part in the world.")
+    method: Literal["best", "greedy", "exact"] = Field(
+        default="best", description="The better of both orders, nearest next as in the paper, or dynamic programming."
+    )
+    exact_up_to: int = Field(default=15, ge=1, le=18, description="Most sweeps for dynamic programming.")
+    max_alternatives: int = Field(default=8, ge=1, le=64, description="Branches and windings tried of each sweep.")
+    max_connections: int = Field(default=1000, ge=1, description="Connections that the best order may evaluate.")
+    roadmap_nodes: int = Field(
+        default=1000, ge=0, le=100_000, description="Configurations that the roadmap starts with."
+    )
+    neighbours: int = Field(default=12, ge=1, le=200, description="Roadmap neighbours of a configuration.")
+    step_rad: float = Field(
+        default=math.radians(2.0), gt=0, le=0.2, description="Largest joint turn between checks while searching."
+    )
+    clearance_m: float = Field(
+        default=0.005,
+        ge=0,
+        description="Distance kept between bodies on connections; sweeps keep what they were given.",
+    )
+    scan_speed_m_s: float = Field(default=0.1, gt=0, description="Speed of the scanner on a sweep.")
+    tool_acceleration_m_s2: float = Field(default=1.0, gt=0, description="Acceleration of the scanner on a sweep.")
+    sample_s: float = Field(default=0.008, gt=0, le=0.1, description="Time between states.")
+    return_to_start: bool = Field(default=False, description="Whether the plan ends in the start configuration.")
+    seed: int = Field(default=0, ge=0, description="Seed of roadmap and shortening.")
+
+
+@stage(version=1)
+def stitch_sweeps(
+    cell: CellModel,
+    mesh: PartMesh,
+    viewpoints: Viewpoints,
+    reachability: Reachability,
+    selection: ViewSelection,
+    *,
+    params: StitchParams,
+    progress: Progress = no_progress,
+) -> Trajectory:
+    """Plan the whole motion from the start configuration through all selected sweeps.
+
+    Raises:
+        InvalidInputError: If nothing is selected, the start configuration collides, or ``method`` is ``exact`` and
+            there are more sweeps than ``exact_up_to``.
+        InfeasibleError: If a view cannot be executed or connected; it names the view.
+    """
+    import numpy as np
+
+    from cellwright.cell.scene import Scene
+    from cellwright.errors import InvalidInputError
+    from cellwright.solvers.roadmap import RoadmapSize
+    from cellwright.solvers.stitching import StitchSettings, stitch
+    from schemas.cell_objects import build_cell
+    from schemas.plan_objects import planned_sweeps, trajectory_of
+
+    n_sweeps = len(selection.view)
+    if n_sweeps == 0:
+        raise InvalidInputError("no view is selected: there is nothing to stitch; look at the coverage's causes first")
+    if params.method == "exact" and n_sweeps > params.exact_up_to:
+        raise InvalidInputError(
+            f"method exact orders at most {params.exact_up_to} sweeps but {n_sweeps} are selected: use method best"
+        )
+    T_world_part = params.T_world_part.matrix()
+    built = build_cell(cell, mesh, T_world_part)
+    scene = Scene(built, params.clearance_m)
+    touching = scene.colliding_pair(built.start)
+    if touching is not None:
+        raise InvalidInputError(
+            f"the start configuration brings {touching[0]} and {touching[1]} closer than "
+            f"{params.clearance_m * 1e3:.3g} mm: choose another start configuration, move the part, "
+            "or lower clearance_m"
+        )
+    settings = StitchSettings(
+        scan_speed=params.scan_speed_m_s,
+        tool_acceleration=params.tool_acceleration_m_s2,
+        sample=params.sample_s,
+        step=params.step_rad,
+        max_alternatives=params.max_alternatives,
+        roadmap=RoadmapSize(
+            n_nodes=params.roadmap_nodes,
+            n_batch=max(100, params.roadmap_nodes // 2),
+            n_most=4 * params.roadmap_nodes,
+            n_neighbours=params.neighbours,
+        ),
+        exact_up_to=params.exact_up_to,
+        n_evaluations=params.max_connections,
+        returns=params.return_to_start,
+    )
+    plan = stitch(
+        built,
+        scene,
+        planned_sweeps(viewpoints, reachability, selection, T_world_part),
+        settings=settings,
+        method=params.method,
+        rng=np.random.default_rng(params.seed),
+        sweep_checker=Scene(built, min(params.clearance_m, settings.confirm_step)),
+        progress=progress,
+    )
+    return trajectory_of(plan, selection)

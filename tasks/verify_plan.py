@@ -1,0 +1,88 @@
+"""Verify a plan with a second collision engine and against all its limits: a plan that fails is an error.
+
+Independent of the planner: another collision engine (FCL on trimesh bodies), its own forward kinematics, and the
+motion itself instead of what the planner thought it was. Steps are so small that no point of the robot moves
+further than ``step_m`` and no joint turns more than ``step_rad`` between two checked states.
+"""
+
+from __future__ import annotations
+
+import math
+
+from pydantic import Field
+
+from schemas.motion import Trajectory, Verification
+from schemas.params import Params
+from schemas.part import PartMesh
+from schemas.poses import Pose
+from schemas.sources import CellModel
+from schemas.stage import Progress, no_progress, stage
+from schemas.views import Reachability, Viewpoints, ViewSelection
+
+
+class VerifyParams(Params):
+    """Settings of the verification stage."""
+
+    T_world_part: Pose = Field(default=Pose(), description="Pose of the part in the world.")
+    scan_speed_m_s: float = Field(default=0.1, gt=0, description="Speed that the scanner may have on a sweep.")
+    step_m: float = Field(default=1e-3, gt=0, le=1e-3, description="Furthest motion of any point between states.")
+    step_rad: float = Field(default=math.radians(0.1), gt=0, le=math.radians(0.1) * (1 + 1e-9))
+    position_tolerance_m: float = Field(default=2e-4, gt=0, description="Scanner off its planned sweep.")
+    angle_tolerance_rad: float = Field(default=math.radians(0.05), gt=0)
+    limit_tolerance: float = Field(default=0.01, ge=0, lt=0.1, description="Share by which limits may be exceeded.")
+
+
+@stage(version=1)
+def verify_plan(
+    cell: CellModel,
+    mesh: PartMesh,
+    viewpoints: Viewpoints,
+    reachability: Reachability,
+    selection: ViewSelection,
+    trajectory: Trajectory,
+    *,
+    params: VerifyParams,
+    progress: Progress = no_progress,
+) -> Verification:
+    """Check that the plan can run and does what was selected.
+
+    Every selected view must be executed over the interval of its best piece in ``reachability``.
+
+    Raises:
+        InfeasibleError: If any check fails; it names the check, the time, the bodies and the amount.
+        InvalidInputError: If the artefacts do not belong together.
+    """
+    import numpy as np
+
+    from cellwright.cell.verification_scene import VerificationScene
+    from cellwright.solvers import plan_verification as verification
+    from schemas.cell_objects import build_cell
+    from schemas.plan_objects import planned_sweeps, timed_plan
+
+    built = build_cell(cell, mesh, params.T_world_part.matrix())
+    sweeps = planned_sweeps(viewpoints, reachability, selection, params.T_world_part.matrix())
+    plan = timed_plan(trajectory, selection)
+    tolerances = verification.Tolerances(
+        step=params.step_m,
+        step_angle=params.step_rad,
+        limit_share=params.limit_tolerance,
+        position=params.position_tolerance_m,
+        angle=params.angle_tolerance_rad,
+    )
+    checks = verification.check_order(plan)
+    verification.require(checks)
+    checks += verification.check_limits(plan, built, tolerances)
+    checks += verification.check_sweeps(plan, built, sweeps, params.scan_speed_m_s, tolerances)
+    verification.require(checks)
+    scene = VerificationScene(built)
+    collisions, n_states = verification.check_collisions(plan, built, scene, tolerances, progress)
+    checks += collisions
+    verification.require(checks)
+    return Verification(
+        check=tuple(check.name for check in checks),
+        found=np.array([check.found for check in checks]),
+        permitted=np.array([check.permitted for check in checks]),
+        unit=tuple(check.unit for check in checks),
+        n_states=n_states,
+        engine=scene.engine,
+    )

@@ -1,0 +1,98 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from cellwright.causes import Cause
+from cellwright.errors import InvalidInputError
+from schemas.artefact import digest
+from schemas.part import SurfaceSamples
+from schemas.views import Coverage
+from tasks.measure_coverage import CoverageParams, measure_coverage
+from tests.tasks.plate_scene import plate, points_on_top, reached, scanned, selected, views_down
+
+CLOUD = points_on_top((0.0, 0.0), (0.09, 0.0), (0.0, 0.1), (0.0, 0.19), (0.02, -0.1), (0.03, 0.0))
+VIEWS = views_down((0.0, 0.0), (0.0, 0.1), (0.0, -0.1))
+REACHED = reached(3, (0, -0.05, 0.05), (1, -0.01, 0.05), outcome=(0, 0, Cause.COLLISION), blocked_by=(-1, -1, 1))
+
+
+def covered(points: list[list[float]], cloud: SurfaceSamples = CLOUD, radius_m: float = 2e-3) -> Coverage:
+    params = CoverageParams(radius_m=radius_m)
+    scan = scanned(np.array(points).reshape(-1, 3))
+    found = measure_coverage(plate(), cloud, scan, VIEWS, REACHED, selected(0), params=params)
+    assert isinstance(found, Coverage)
+    return found
+
+
+def test_measured_points_coverable_points_and_causes() -> None:
+    found = covered([[0.0005, 0.001, 0.0], [0.0, 0.0, 0.0001]])
+    assert found.measured.tolist() == [True, False, False, False, False, False]
+    assert [Cause(cause) for cause in found.cause.tolist()] == [
+        Cause.NONE,
+        Cause.TOO_SHORT,  # view 0 sees it, but its piece ends before
+        Cause.NOT_SELECTED,
+        Cause.FIELD_OF_VIEW,
+        Cause.COLLISION,
+        Cause.NOT_SCANNED,
+    ]
+    assert found.coverable.tolist() == [True, False, True, False, False, True]
+    assert found.blocked_by.tolist() == [-1, -1, -1, -1, 1, -1]
+    assert found.body[1] == "part"
+    assert found.uncertainty_m[0] == np.float32(4e-5) and np.isnan(found.uncertainty_m[1:]).all()
+    assert found.share_measured == pytest.approx(1 / 6)
+    assert found.share_of_coverable == pytest.approx(1 / 3)
+
+
+def test_the_radius_decides_what_is_near_enough() -> None:
+    assert not covered([[0.0, 0.003, 0.0]]).measured[0]
+    assert covered([[0.0, 0.003, 0.0]], radius_m=4e-3).measured[0]
+
+
+def test_the_bottom_is_not_measured_through_the_plate() -> None:
+    bottom = SurfaceSamples(
+        points_m=CLOUD.points_m,
+        normals=-CLOUD.normals,
+        face=CLOUD.face,
+        method="random",
+        density_per_m2=1.0,
+        area_m2=0.16,
+    )
+    found = covered([[0.0, 0.0, 0.0]], bottom)
+    assert not found.measured.any() and not found.coverable.any()
+    assert (found.share_measured, found.share_of_coverable) == (0.0, 0.0)
+
+
+def test_a_two_sided_sheet_is_measured_on_the_side_that_faces_the_laser() -> None:
+    scan = scanned(np.array([[0.0, 0.0, 0.0]]))
+    for normal, is_measured in ((1.0, True), (-1.0, False)):
+        cloud = SurfaceSamples(
+            points_m=np.zeros((1, 3)),
+            normals=np.array([[0.0, 0.0, normal]]),
+            face=CLOUD.face[:1],
+            method="random",
+            density_per_m2=1.0,
+            area_m2=0.16,
+        )
+        found = measure_coverage(
+            plate(two_sided=True), cloud, scan, VIEWS, REACHED, selected(0), params=CoverageParams()
+        )
+        assert bool(found.measured[0]) == is_measured
+
+
+def test_an_empty_scan_is_explained_too() -> None:
+    found = covered([])
+    assert not found.measured.any()
+    assert found.cause[0] == Cause.NOT_SCANNED
+
+
+def test_artefacts_that_do_not_belong_together_are_refused() -> None:
+    with pytest.raises(InvalidInputError, match="1 viewpoints but reachability knows 3"):
+        measure_coverage(
+            plate(), CLOUD, scanned(np.zeros((1, 3))), views_down((0, 0)), REACHED, selected(0), params=CoverageParams()
+        )
+
+
+def test_the_result_is_the_one_of_this_version() -> None:
+    golden = "4c032b182440c593ac9519cf0e5dfc0dc4639c60e9ad47a1f0a1f31457b9330b"
+    found = digest(covered([[0.0005, 0.001, 0.0], [0.0, 0.0, 0.0001]]))
+    assert found == golden, "the result changed: raise the version of measure_coverage"
