@@ -20,9 +20,9 @@ class Cause(IntEnum):
     UNCERTAINTY = 3
     """The predicted measurement uncertainty exceeds the permitted one."""
     EMITTER_OCCLUDED = 4
-    """The part itself stands between the laser and the sample."""
+    """The part, or what stands around it, hides the sample from the laser."""
     DETECTOR_OCCLUDED = 5
-    """The part itself stands between the detector and the sample."""
+    """The part, or what stands around it, hides the sample from the detector."""
     OUT_OF_REACH = 6
     """No inverse kinematics solution along the sweep."""
     JOINT_LIMIT = 7

@@ -103,9 +103,17 @@ def plan_inspection(step: Steps, request: InspectionRequest, lake: Lake) -> dict
     cloud = step(tasks.sample_surface, request.verification_cloud, label="verification", mesh=mesh)
     samples = step(tasks.sample_surface, request.samples, label="planning", mesh=mesh)
     viewpoints = step(tasks.sample_viewpoints, request.viewpoints, samples=samples)
-    seen = step(tasks.measure_samples, request.sensing, mesh=mesh, samples=samples, viewpoints=viewpoints)
 
     placed = {"T_world_part": part_pose(request, lake, mesh, cell)}
+    surroundings = step(tasks.place_surroundings, request.surroundings.model_copy(update=placed), cell=cell)
+    seen = step(
+        tasks.measure_samples,
+        request.sensing,
+        mesh=mesh,
+        surroundings=surroundings,
+        samples=samples,
+        viewpoints=viewpoints,
+    )
     reachability = step(
         tasks.follow_sweeps,
         request.sweeps.model_copy(update=placed),
@@ -123,7 +131,7 @@ def plan_inspection(step: Steps, request: InspectionRequest, lake: Lake) -> dict
         reachability=reachability,
     )
     selection = step(tasks.select_views, request.cover, measurability=measurable)
-    selection = close_gaps(step, request, lake, mesh, viewpoints, reachability, measurable, selection)
+    selection = close_gaps(step, request, lake, mesh, surroundings, viewpoints, reachability, measurable, selection)
 
     trajectory = step(
         tasks.stitch_sweeps,
@@ -145,12 +153,18 @@ def plan_inspection(step: Steps, request: InspectionRequest, lake: Lake) -> dict
         trajectory=trajectory,
     )
     scan = step(
-        tasks.simulate_scan, request.scan.model_copy(update=placed), cell=cell, mesh=mesh, trajectory=trajectory
+        tasks.simulate_scan,
+        request.scan.model_copy(update=placed),
+        cell=cell,
+        mesh=mesh,
+        surroundings=surroundings,
+        trajectory=trajectory,
     )
     coverage = step(
         tasks.measure_coverage,
         request.coverage,
         mesh=mesh,
+        surroundings=surroundings,
         cloud=cloud,
         scan=scan,
         viewpoints=viewpoints,
@@ -198,6 +212,7 @@ def close_gaps(
     request: InspectionRequest,
     lake: Lake,
     mesh: Step,
+    surroundings: Step,
     viewpoints: Step,
     reachability: Step,
     measurable: Step,
@@ -214,6 +229,7 @@ def close_gaps(
             request.gaps,
             label=f"round {number}",
             mesh=mesh,
+            surroundings=surroundings,
             cloud=cloud,
             viewpoints=viewpoints,
             reachability=reachability,
@@ -228,6 +244,7 @@ def close_gaps(
             request.extension,
             label=f"round {number}",
             mesh=mesh,
+            surroundings=surroundings,
             cloud=cloud,
             gaps=gaps,
             viewpoints=viewpoints,

@@ -21,6 +21,7 @@ from tasks.find_gaps import GapParams
 from tasks.follow_sweeps import SweepParams
 from tasks.measure_coverage import CoverageParams
 from tasks.measure_samples import MeasurabilityParams
+from tasks.place_surroundings import SurroundingsParams
 from tasks.preprocess_mesh import MeshParams
 from tasks.read_source import SourceParams
 from tasks.record_plan import RecordingParams
@@ -49,6 +50,7 @@ class InspectionRequest(BaseModel):
     rests_on: str | None = Field(default=None, description="Body that the part stands on.")
     cell: CellModelParams
     mesh: MeshParams
+    surroundings: SurroundingsParams = SurroundingsParams()
     samples: SurfaceParams
     refinement_cloud: SurfaceParams
     refinement_rounds: int = Field(default=3, ge=0, description="Most rounds of closing gaps between the samples.")
@@ -129,6 +131,9 @@ def request_of(path: Path, overrides: Sequence[str] = ()) -> InspectionRequest:
             roadmap_nodes=planner.stitching.roadmap_nodes,
             neighbours=planner.stitching.neighbours,
             step_rad=planner.stitching.step_rad,
+            max_alternatives=planner.stitching.max_alternatives,
+            tool_acceleration_m_s2=planner.stitching.tool_acceleration_m_s2,
+            return_to_start=planner.stitching.return_to_start,
             clearance_m=reach.clearance_m,
             scan_speed_m_s=reach.scan_speed_m_s,
             seed=planner.seed,
@@ -191,9 +196,7 @@ def _body(body: BodySection, sources: dict[str, SourceParams]) -> BodyParams:
     if body.box is not None:
         return BoxBody(name=body.name, pose=pose, size_m=body.box.size_m)
     if body.cylinder is not None:
-        return CylinderBody(
-            name=body.name, pose=pose, radius_m=body.cylinder.radius_m, length_m=body.cylinder.length_m
-        )
+        return CylinderBody(name=body.name, pose=pose, radius_m=body.cylinder.radius_m, length_m=body.cylinder.length_m)
     if body.capsule is not None:
         return CapsuleBody(name=body.name, pose=pose, radius_m=body.capsule.radius_m, length_m=body.capsule.length_m)
     if body.sphere is not None:

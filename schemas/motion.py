@@ -15,7 +15,10 @@ from schemas.columns import ANY_WIDTH, column, fact
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Trajectory(Artefact):
-    """The timed joint motion from the start configuration through all sweeps."""
+    """The timed joint motion from the start configuration through all sweeps.
+
+    Times rise strictly; the state at which a connection and a sweep meet is stored once, as one of the sweep.
+    """
 
     KIND: ClassVar[str] = "trajectory"
 

@@ -33,6 +33,19 @@ class PartMesh(Artefact):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
+class Surroundings(Artefact):
+    """What stands still around the part and can block the scanner's sight, as triangles where the part is placed.
+
+    It is seen from the part: a cell that is moved as a whole has the same surroundings.
+    """
+
+    KIND: ClassVar[str] = "surroundings"
+
+    vertices_m: FloatArray = column("Vertices", width=3, unit="m", frame="part", table="vertices")
+    faces: Int32Array = column("Triangles", dtype="int32", width=3, table="faces")
+
+
+@dataclass(frozen=True, eq=False, repr=False)
 class SurfaceSamples(Artefact):
     """Points on the faces to be measured, with the normals of their faces."""
 

@@ -16,7 +16,8 @@ from schemas.views import Measurability, Reachability, Viewpoints
 if TYPE_CHECKING:
     from cellwright.cell.cell import Cell
     from cellwright.cell.scene import Scene
-    from cellwright.solvers.sweep_following import FollowedSweeps, Sweeps
+    from cellwright.solvers.sweep_following import FollowedSweeps
+    from cellwright.solvers.sweep_poses import CandidateSweeps
 
 
 def entry_travel(
@@ -56,7 +57,7 @@ def check_belong(viewpoints: Viewpoints, measurability: Measurability, samples: 
             )
 
 
-def sweeps_to_follow(viewpoints: Viewpoints, measurability: Measurability, T_world_part: FloatArray) -> Sweeps:
+def sweeps_to_follow(viewpoints: Viewpoints, measurability: Measurability, T_world_part: FloatArray) -> CandidateSweeps:
     """Return all views as sweeps in the world.
 
     The surface itself is not needed: each view looks at its own sample, so the views give away where samples are.
@@ -65,7 +66,7 @@ def sweeps_to_follow(viewpoints: Viewpoints, measurability: Measurability, T_wor
     Raises:
         InvalidInputError: If the two artefacts do not belong together.
     """
-    from cellwright.solvers.sweep_following import Sweeps
+    from cellwright.solvers.sweep_poses import CandidateSweeps
 
     check_belong(viewpoints, measurability)
     R = rotation_from_quaternion(viewpoints.quaternion)
@@ -82,7 +83,7 @@ def sweeps_to_follow(viewpoints: Viewpoints, measurability: Measurability, T_wor
     view = np.concatenate([measurability.view[sure], unsure, unsure])
     travel = np.concatenate([travel[sure], measurability.start_m[unsure], measurability.end_m[unsure]])
     order = np.lexsort((travel, view))
-    return Sweeps(
+    return CandidateSweeps(
         T_world_part @ pose(viewpoints.position_m, R),
         measurability.start_m,
         measurability.end_m,

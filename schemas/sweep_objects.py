@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cellwright.arrays import Int32Array
-from schemas.part import PartMesh
+from schemas.part import PartMesh, Surroundings
 from schemas.views import Reachability, Viewpoints
 
 if TYPE_CHECKING:
@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from cellwright.solvers.measurability import Sweeps
 
 
-def part_occluder(mesh: PartMesh) -> Occluder:
-    """Return the part as what stands in the way, in the frame `part`.
+def occluder_of(mesh: PartMesh, surroundings: Surroundings) -> Occluder:
+    """Return the part and what stands around it as what blocks sight, in the frame `part`; the part's faces first.
 
     Raises:
         InvalidInputError: If the mesh has vertices that are not finite.
@@ -24,7 +24,7 @@ def part_occluder(mesh: PartMesh) -> Occluder:
     from cellwright.cell.bodies import Mesh
     from cellwright.cell.occlusion import Occluder
 
-    return Occluder(Mesh(mesh.vertices_m, mesh.faces))
+    return Occluder(Mesh(mesh.vertices_m, mesh.faces), Mesh(surroundings.vertices_m, surroundings.faces))
 
 
 def candidate_sweeps(viewpoints: Viewpoints) -> Sweeps:

@@ -97,16 +97,18 @@ class ViewSelection(Artefact):
     view: Int32Array = column("Selected view (row of the viewpoints)", dtype="int32", table="views")
     n_samples: Int32Array = column("Samples that it measures", dtype="int32", table="views")
     n_only: Int32Array = column("Samples that it alone measures", dtype="int32", table="views")
-    max_uncertainty_m: FloatArray = column("Worst uncertainty of the samples assigned to it", unit="m", table="views")
+    max_uncertainty_m: FloatArray = column(
+        "Worst uncertainty of the samples that it measures best; NaN if none", unit="m", table="views"
+    )
     cause: Int8Array = column(
         "Why the sample is not measured by the selection, `Cause`; 0 if it is", dtype="int8", table="samples"
     )
     greedy_view: Int32Array = column("Views that the greedy method picks", dtype="int32", table="greedy")
-    method: str = fact("greedy or integer-program: which gave the selection", dtype="str")
+    method: str = fact("greedy, search, tree or integer-program: which found the selection", dtype="str")
     lower_bound: float = fact("Fewest sweeps that could do it, proven (not rounded)")
     gap: float = fact("(selected - ceil(lower bound)) / selected")
     proven: bool = fact("Whether the selection is proven smallest", dtype="bool")
-    stopped_by: str = fact("optimality, nodes or time: what ended the exact search", dtype="str")
+    stopped_by: str = fact("optimality, work, nodes or time: what ended the search; empty if greedy", dtype="str")
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -11,6 +11,7 @@ from tasks.find_gaps import find_gaps
 from tasks.follow_sweeps import follow_sweeps
 from tasks.measure_coverage import measure_coverage
 from tasks.measure_samples import measure_samples
+from tasks.place_surroundings import place_surroundings
 from tasks.preprocess_mesh import preprocess_mesh
 from tasks.read_source import read_source
 from tasks.record_plan import record_plan
@@ -27,6 +28,7 @@ _ALL: tuple[Stage, ...] = (
     read_source,
     assemble_cell,
     preprocess_mesh,
+    place_surroundings,
     sample_surface,
     sample_viewpoints,
     measure_samples,
@@ -46,4 +48,24 @@ _ALL: tuple[Stage, ...] = (
 STAGES = MappingProxyType({stage.name: stage for stage in _ALL})
 """Every stage by its name, in the order of the chain."""
 
-__all__ = ["STAGES", *(stage.name for stage in _ALL)]
+__all__ = [
+    "STAGES",
+    "assemble_cell",
+    "extend_measurability",
+    "find_gaps",
+    "follow_sweeps",
+    "measure_coverage",
+    "measure_samples",
+    "place_surroundings",
+    "preprocess_mesh",
+    "read_source",
+    "record_plan",
+    "sample_surface",
+    "sample_viewpoints",
+    "select_views",
+    "simulate_scan",
+    "stitch_sweeps",
+    "trim_measurability",
+    "verify_plan",
+    "write_report",
+]

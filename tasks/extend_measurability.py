@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from cellwright.errors import InvalidInputError
-from schemas.part import PartMesh, SurfaceSamples
+from schemas.part import PartMesh, SurfaceSamples, Surroundings
 from schemas.scanner import SensingParams
 from schemas.stage import stage
 from schemas.views import CoverageGaps, Measurability, Reachability, Viewpoints
@@ -18,6 +18,7 @@ class ExtensionParams(SensingParams):
 @stage(version=1)
 def extend_measurability(
     mesh: PartMesh,
+    surroundings: Surroundings,
     cloud: SurfaceSamples,
     gaps: CoverageGaps,
     viewpoints: Viewpoints,
@@ -35,7 +36,7 @@ def extend_measurability(
         InvalidInputError: If a gap is not a point of the cloud, or the artefacts have different numbers of views.
     """
     from cellwright.solvers.measurability import measure_pairs
-    from schemas.sweep_objects import best_pieces, part_occluder, piece_sweeps
+    from schemas.sweep_objects import best_pieces, occluder_of, piece_sweeps
 
     n_samples, n_views = len(measurability.cause), len(measurability.start_m)
     if len(gaps.point) and gaps.point.max() >= len(cloud.face):
@@ -52,7 +53,7 @@ def extend_measurability(
     found = measure_pairs(
         params.scanner.scanner(),
         params.max_uncertainty_m,
-        part_occluder(mesh),
+        occluder_of(mesh, surroundings),
         cloud.points_m[gaps.point],
         cloud.normals[gaps.point],
         piece_sweeps(viewpoints, reachability, rows),

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from schemas.part import PartMesh, SurfaceSamples
+from schemas.part import PartMesh, SurfaceSamples, Surroundings
 from schemas.scanner import SensingParams
 from schemas.stage import stage
 from schemas.views import CoverageGaps, Reachability, Viewpoints, ViewSelection
@@ -21,6 +21,7 @@ class GapParams(SensingParams):
 @stage(version=1)
 def find_gaps(
     mesh: PartMesh,
+    surroundings: Surroundings,
     cloud: SurfaceSamples,
     viewpoints: Viewpoints,
     reachability: Reachability,
@@ -37,9 +38,9 @@ def find_gaps(
         InvalidInputError: If the mesh has vertices that are not finite.
     """
     from cellwright.solvers.measurability import measured_by_any
-    from schemas.sweep_objects import best_pieces, part_occluder, piece_sweeps
+    from schemas.sweep_objects import best_pieces, occluder_of, piece_sweeps
 
-    scanner, occluder = params.scanner.scanner(), part_occluder(mesh)
+    scanner, occluder = params.scanner.scanner(), occluder_of(mesh, surroundings)
     points, normals = cloud.points_m, cloud.normals
     selected = piece_sweeps(viewpoints, reachability, best_pieces(reachability, selection.view))
     seen = measured_by_any(scanner, params.max_uncertainty_m, occluder, points, normals, selected)

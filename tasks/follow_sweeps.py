@@ -29,7 +29,7 @@ class SweepParams(Params):
     max_exact_checks: int = Field(
         default=20_000,
         ge=0,
-        description="Most states that the exact collision engine is asked about where the fast filter leaves them open.",
+        description="Most states on which the exact collision engine is asked where the fast filter does not decide.",
     )
 
 
@@ -51,8 +51,8 @@ def follow_sweeps(
     """
     from cellwright.cell.scene import Scene
     from cellwright.errors import InfeasibleError
-    from cellwright.solvers.sweep_following import FollowSettings
     from cellwright.solvers.sweep_following import follow_sweeps as follow
+    from cellwright.solvers.sweep_poses import FollowSettings
     from schemas.cell_objects import build_cell
     from schemas.reach_objects import reachability_of, standing_pair, sweeps_to_follow
 
@@ -63,8 +63,8 @@ def follow_sweeps(
     touching = standing_pair(scene, built)
     if touching is not None:
         raise InfeasibleError(
-            f"{touching[0]} and {touching[1]}, which both stand still, are closer than {params.clearance_m * 1e3:.3g} mm: "
-            "no configuration is free; move one of them, or declare that they may touch"
+            f"{touching[0]} and {touching[1]} both stand still and are closer than {params.clearance_m * 1e3:.3g} mm, "
+            "so no configuration is free: move one of them, or declare that they may touch"
         )
     followed = follow(
         built,

@@ -10,7 +10,7 @@ from pydantic import Field
 from cellwright.causes import Cause
 from cellwright.errors import InvalidInputError
 from schemas.motion import ScanCloud
-from schemas.part import PartMesh, SurfaceSamples
+from schemas.part import PartMesh, SurfaceSamples, Surroundings
 from schemas.scanner import SensingParams
 from schemas.stage import stage
 from schemas.views import Coverage, Reachability, Viewpoints, ViewSelection
@@ -28,6 +28,7 @@ class CoverageParams(SensingParams):
 @stage(version=1)
 def measure_coverage(
     mesh: PartMesh,
+    surroundings: Surroundings,
     cloud: SurfaceSamples,
     scan: ScanCloud,
     viewpoints: Viewpoints,
@@ -44,7 +45,7 @@ def measure_coverage(
         InvalidInputError: If the artefacts do not belong together.
     """
     from cellwright.solvers.coverage import CandidatePieces, explain_misses, match_points
-    from schemas.sweep_objects import candidate_sweeps, part_occluder
+    from schemas.sweep_objects import candidate_sweeps, occluder_of
 
     n_views = len(viewpoints.sample)
     if len(reachability.outcome) != n_views:
@@ -66,7 +67,7 @@ def measure_coverage(
     misses = explain_misses(
         params.scanner.scanner(),
         params.max_uncertainty_m,
-        part_occluder(mesh),
+        occluder_of(mesh, surroundings),
         cloud.points_m[missed],
         cloud.normals[missed],
         CandidatePieces(

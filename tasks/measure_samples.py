@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from schemas.part import PartMesh, SurfaceSamples
+from schemas.part import PartMesh, SurfaceSamples, Surroundings
 from schemas.scanner import SensingParams
 from schemas.stage import Progress, no_progress, stage
 from schemas.views import Measurability, Viewpoints
@@ -15,24 +15,25 @@ class MeasurabilityParams(SensingParams):
 @stage(version=1)
 def measure_samples(
     mesh: PartMesh,
+    surroundings: Surroundings,
     samples: SurfaceSamples,
     viewpoints: Viewpoints,
     *,
     params: MeasurabilityParams,
     progress: Progress = no_progress,
 ) -> Measurability:
-    """Test every sample against every sweep of unlimited travel, the part itself in the way.
+    """Test every sample against every sweep of unlimited travel, the part and what stands around it in the way.
 
     Raises:
         InvalidInputError: If the mesh has vertices that are not finite.
     """
     from cellwright.solvers.measurability import measure_pairs
-    from schemas.sweep_objects import candidate_sweeps, part_occluder
+    from schemas.sweep_objects import candidate_sweeps, occluder_of
 
     found = measure_pairs(
         params.scanner.scanner(),
         params.max_uncertainty_m,
-        part_occluder(mesh),
+        occluder_of(mesh, surroundings),
         samples.points_m,
         samples.normals,
         candidate_sweeps(viewpoints),

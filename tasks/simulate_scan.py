@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import Field
 
 from schemas.motion import ScanCloud, Trajectory
-from schemas.part import PartMesh
+from schemas.part import PartMesh, Surroundings
 from schemas.poses import Pose
 from schemas.scanner import SensingParams
 from schemas.sources import CellModel
@@ -29,14 +29,14 @@ class ScanParams(SensingParams):
 
 
 @stage(version=1)
-def simulate_scan(cell: CellModel, mesh: PartMesh, trajectory: Trajectory, *, params: ScanParams) -> ScanCloud:
+def simulate_scan(
+    cell: CellModel, mesh: PartMesh, surroundings: Surroundings, trajectory: Trajectory, *, params: ScanParams
+) -> ScanCloud:
     """Return what the scanner measures along the trajectory, in the frame `part`.
 
     Raises:
         InvalidInputError: If the trajectory does not belong to the cell.
     """
-    from cellwright.cell.bodies import Mesh
-    from cellwright.cell.occlusion import Occluder
     from cellwright.cell.transforms import quaternion_from_rotation
     from cellwright.solvers.hermite import states_at
     from cellwright.solvers.scan_simulation import (
@@ -44,9 +44,9 @@ def simulate_scan(cell: CellModel, mesh: PartMesh, trajectory: Trajectory, *, pa
         profile_times,
         scanner_poses,
         simulate_profiles,
-        surroundings,
     )
     from schemas.cell_objects import build_cell
+    from schemas.sweep_objects import occluder_of
 
     T_world_part = params.T_world_part.matrix()
     built = build_cell(cell, mesh, T_world_part)
@@ -61,7 +61,7 @@ def simulate_scan(cell: CellModel, mesh: PartMesh, trajectory: Trajectory, *, pa
     found = simulate_profiles(
         scanner,
         params.max_uncertainty_m,
-        Occluder(Mesh(mesh.vertices_m, mesh.faces), *surroundings(built, T_world_part)),
+        occluder_of(mesh, surroundings),
         PartSurface(mesh.normals, mesh.two_sided),
         T_part_scanner[:, :3, 3],
         T_part_scanner[:, :3, :3],

@@ -64,8 +64,8 @@ def stitch_sweeps(
     """Plan the whole motion from the start configuration through all selected sweeps.
 
     Raises:
-        InvalidInputError: If nothing is selected, the start configuration collides, or ``method`` is ``exact`` and
-            there are more sweeps than ``exact_up_to``.
+        InvalidInputError: If nothing is selected, the start configuration collides or is beyond a joint limit, or
+            ``method`` is ``exact`` and there are more sweeps than ``exact_up_to``.
         InfeasibleError: If a view cannot be executed or connected; it names the view.
     """
     import numpy as np
@@ -87,6 +87,13 @@ def stitch_sweeps(
     T_world_part = params.T_world_part.matrix()
     built = build_cell(cell, mesh, T_world_part)
     scene = Scene(built, params.clearance_m)
+    beyond = np.maximum(cell.lower_rad - built.start, built.start - cell.upper_rad)
+    if beyond.max() > 0.0:
+        joint = int(np.argmax(beyond))
+        raise InvalidInputError(
+            f"the start configuration has joint {cell.joint[joint]} at {built.start[joint]:.4g} rad, outside its "
+            f"limits {cell.lower_rad[joint]:.4g} to {cell.upper_rad[joint]:.4g} rad: choose another start configuration"
+        )
     touching = scene.colliding_pair(built.start)
     if touching is not None:
         raise InvalidInputError(

@@ -251,7 +251,8 @@ def distance_bounds(
     by = real[body, 7] * x + real[body, 8] * y + real[body, 9] * z + real[body, 10]
     bz = real[body, 11] * x + real[body, 12] * y + real[body, 13] * z + real[body, 14]
     if whole[body, 0] >= FIELD:
-        return _field_bounds(real, whole, lower, upper, body, bx, by, bz)
+        least, most = _field_bounds(real, whole, lower, upper, body, bx, by, bz)
+        return least, most
     exact = primitive_distance(whole[body, 0], real[body, 0], real[body, 1], real[body, 2], bx, by, bz)
     return exact, exact
 

@@ -19,12 +19,12 @@ from cellwright.cell.bodies import BASE, WORLD
 from cellwright.cell.cell import Cell
 from cellwright.cell.scene import Scene
 
-N_SAMPLES = 2000
+N_SAMPLES = 5000
 NEVER_MARGIN = 0.03
 """A pair that no sampled configuration brings within this distance (m) counts as never touching.
 
-The 2000th random configuration of an arm lies some 0.3 rad from its neighbours in each joint, so a pair may come
-closer between samples than at them; links that pass each other closely are kept by this margin.
+Samples are sparse in six dimensions, so a pair may come closer between them than at them; pairs that pass each
+other closely are kept by this margin.
 """
 
 

@@ -6,6 +6,7 @@ obstacles come as, by trimesh (DAE needs pycollada beside it).
 
 from __future__ import annotations
 
+import importlib
 import io
 from pathlib import PurePosixPath
 
@@ -71,10 +72,11 @@ def _by_trimesh(name: str, content: bytes, suffix: str) -> tuple[FloatArray, Int
 
     if not content:
         raise InvalidInputError(f"mesh file {name!r} is empty: export it again")
+    faults: tuple[type[Exception], ...] = (*_READER_FAULTS, *_collada_faults())
     try:
         loaded = trimesh.load_mesh(io.BytesIO(content), file_type=suffix[1:], process=False)
         vertices, faces = np.asarray(loaded.vertices, float), np.asarray(loaded.faces, np.int64)
-    except (*_READER_FAULTS, *_collada_faults()) as failure:
+    except faults as failure:
         said = str(failure).splitlines()[0][:100] if str(failure) else type(failure).__name__
         raise InvalidInputError(
             f"mesh file {name!r} cannot be read as {suffix[1:].upper()} ({said}): convert it to STL"
@@ -86,7 +88,7 @@ def _by_trimesh(name: str, content: bytes, suffix: str) -> tuple[FloatArray, Int
 
 def _collada_faults() -> tuple[type[Exception], ...]:
     try:
-        from collada.common import DaeError
+        common = importlib.import_module("collada.common")
     except ImportError:
         return ()
-    return (DaeError,)
+    return (common.DaeError,)

@@ -139,7 +139,8 @@ def _joined(trees: list[_Tree]) -> tuple[FloatArray, IntArray]:
     group, ball = n_bodies, n_bodies + n_groups
     for body, tree in enumerate(trees):
         child[body] = group, group + len(tree.groups)
-        child[group : group + len(tree.groups)] = ball + np.stack([tree.first, [*tree.first[1:], len(tree.balls)]], -1)
+        ends = np.append(tree.first, len(tree.balls))[1:]
+        child[group : group + len(tree.groups)] = ball + np.stack([tree.first, ends[: len(tree.first)]], -1)
         group, ball = group + len(tree.groups), ball + len(tree.balls)
     return node, child
 
@@ -225,7 +226,7 @@ def greatest_shift(poses: FloatArray, later: FloatArray, link: int, node: FloatA
             step += change * node[body, k]
             turn += change * change
         way += step * step
-    return math.sqrt(way) + node[body, 3] * math.sqrt(0.5 * turn)
+    return float(math.sqrt(way) + node[body, 3] * math.sqrt(0.5 * turn))
 
 
 @numba.njit(cache=True, nogil=True)
@@ -244,7 +245,41 @@ def ball_bounds(
     x = F[0, 0] * a + F[0, 1] * b + F[0, 2] * c + F[0, 3]
     y = F[1, 0] * a + F[1, 1] * b + F[1, 2] * c + F[1, 3]
     z = F[2, 0] * a + F[2, 1] * b + F[2, 2] * c + F[2, 3]
-    return distance_bounds(real, whole, lower, upper, d, x, y, z)
+    least, most = distance_bounds(real, whole, lower, upper, d, x, y, z)
+    return least, most
+
+
+@numba.njit(cache=True, nogil=True)
+def centres_into(node: FloatArray, carrier: IntArray, links: FloatArray, out: FloatArray) -> None:
+    """Write the centres of the bounding balls in the base to ``out`` (moving, 3); link poses (joints + 1, 4, 4)."""
+    for m in range(len(carrier)):
+        link = carrier[m]
+        a, b, c = node[m, 0], node[m, 1], node[m, 2]
+        for row in range(3):
+            out[m, row] = (
+                links[link, row, 0] * a + links[link, row, 1] * b + links[link, row, 2] * c + links[link, row, 3]
+            )
+
+
+@numba.njit(cache=True, nogil=True)
+def bounding_gap(
+    node: FloatArray,
+    real: FloatArray,
+    whole: IntArray,
+    lower: Float32Array,
+    upper: Float32Array,
+    pair: IntArray,
+    p: int,
+    centres: FloatArray,
+) -> float:
+    """Return a lower bound of the distance of a pair in m from the bounding balls at ``centres`` (moving, 3)."""
+    m, other = pair[p, 0], pair[p, 3]
+    x, y, z = centres[m, 0], centres[m, 1], centres[m, 2]
+    if other >= 0:
+        x, y, z = x - centres[other, 0], y - centres[other, 1], z - centres[other, 2]
+        return float(math.sqrt(x * x + y * y + z * z) - node[m, 3] - node[other, 3])
+    low, _ = distance_bounds(real, whole, lower, upper, pair[p, 1], x, y, z)
+    return float(low - node[m, 3])
 
 
 @numba.njit(cache=True, nogil=True)
@@ -266,27 +301,14 @@ def compare_bodies(
     direction: FloatArray,
     simplex: FloatArray,
 ) -> tuple[int, float, int]:
-    """Tell whether the two bodies of a pair keep ``wanted`` m apart.
+    """Tell whether the two bodies of a pair, whose bounding balls do not, keep ``wanted`` m apart.
 
     ``F`` (4, 4): pose of the link that carries the first body in the frame of the other one: the base, or its link.
     ``direction`` (pairs, 3): where the hulls' gap was last seen, zero at first; ``simplex`` (4, 3): room to work.
     Returns `FREE`, `OPEN` or `BLOCKED` (closer than ``clearance``), a lower bound of the distance in m, and the
     ball that blocks, `BY_HULL`, or `BY_NONE`.
     """
-    m, d, other = pair[p, 0], pair[p, 1], pair[p, 3]
-    if other >= 0:
-        square = 0.0
-        for row in range(3):
-            away = F[row, 3] - node[other, row]
-            for k in range(3):
-                away += F[row, k] * node[m, k]
-            square += away * away
-        least = math.sqrt(square) - node[other, 3] - node[m, 3]
-    else:
-        low, _ = ball_bounds(node, real, whole, lower, upper, m, d, F)
-        least = low - node[m, 3]
-    if least >= wanted:
-        return FREE, least, BY_NONE
+    m, d = pair[p, 0], pair[p, 1]
     if direction[p, 0] == 0.0 and direction[p, 1] == 0.0 and direction[p, 2] == 0.0:
         direction[p, 2] = -1.0
     gap, most = convex_gap(

@@ -38,7 +38,7 @@ class ConnectionSteps:
     sample: float
     confirm: float
     confirm_angle: float
-    n_shortenings: int = 30
+    n_shortenings: int = 20
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,7 +16,7 @@ from cellwright.arrays import AnyArray, FloatArray, Int32Array
 @numba.njit(cache=True, nogil=True)
 def held_karp(
     cost: FloatArray, duration: FloatArray, first: Int32Array, ceiling: float
-) -> tuple[FloatArray, Int32Array]:
+) -> tuple[FloatArray, Int32Array, FloatArray]:
     """Return for each option the cheapest order that ends with it, and those orders.
 
     Subsets are taken in rising order, so each state is final before it is extended. States are not bounded away:
@@ -24,7 +24,8 @@ def held_karp(
     Memory 8 bytes x 2^sweeps x options; time 2^sweeps options^2 / 2 additions in vector registers.
 
     Returns:
-        Costs with the way home, infinite if not below ``ceiling``, (options,); options in order, (options, sweeps).
+        Costs with the way home, infinite if not below ``ceiling``, (options,); options in order, (options, sweeps);
+        the cost of each state, (2^sweeps, options).
     """
     n, m = len(first) - 1, len(duration)
     n_subsets = 1 << n
@@ -46,7 +47,33 @@ def held_karp(
             _trace_back(best, into, first, option, orders[option])
         else:
             totals[option] = np.inf
-    return totals, orders
+    return totals, orders, best
+
+
+@numba.njit(cache=True, nogil=True)
+def cheapest_through(best: FloatArray, cost: FloatArray, duration: FloatArray, first: Int32Array) -> FloatArray:
+    """Return for each option what the cheapest order that uses it costs, (options,).
+
+    ``best`` holds the states' costs from `held_karp`; the same recursion from the end adds what is still to come.
+    """
+    n, m = len(first) - 1, len(duration)
+    after = np.full(best.shape, np.inf)
+    after[-1] = cost[:m, m]
+    onward = cost[:m, :m] + duration
+    through: FloatArray = best[-1] + after[-1]
+    following = np.empty(m)
+    for subset in range(len(best) - 2, 0, -1):
+        following[:] = np.inf
+        for j in range(n):
+            if not subset >> j & 1:
+                own = slice(first[j], first[j + 1])
+                following[own] = after[subset | 1 << j, own]
+        for i in range(n):
+            if subset >> i & 1:
+                for o in range(first[i], first[i + 1]):
+                    after[subset, o] = _least_sum(following, onward[o])
+                    through[o] = min(through[o], best[subset, o] + after[subset, o])
+    return through
 
 
 @numba.njit(cache=True, nogil=True, fastmath={"nnan", "nsz", "reassoc"})

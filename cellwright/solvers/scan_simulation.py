@@ -15,13 +15,11 @@ import numba
 import numpy as np
 
 from cellwright.arrays import AnyArray, Float32Array, FloatArray, Int32Array
-from cellwright.cell.bodies import WORLD, Mesh
 from cellwright.cell.bounding_volumes import MISS, trace_rays
-from cellwright.cell.cell import PART, Cell
+from cellwright.cell.cell import Cell
 from cellwright.cell.occlusion import Occluder, trace_segments
 from cellwright.cell.scanner import Scanner
-from cellwright.cell.tessellation import triangles_of
-from cellwright.cell.transforms import apply, inverse
+from cellwright.cell.transforms import inverse
 from cellwright.errors import InvalidInputError
 from cellwright.solvers.measurability import sensor_limits
 from cellwright.threads import map_slices
@@ -130,17 +128,6 @@ def scanner_poses(cell: Cell, T_world_part: FloatArray, q: FloatArray) -> FloatA
         )
     T_base_flange = flange_poses(chain.T_parent_joint, chain.axis, chain.T_last_flange, np.array(q, float, order="C"))
     return np.asarray(inverse(T_world_part) @ cell.T_world_base @ T_base_flange @ cell.T_flange_scanner)
-
-
-def surroundings(cell: Cell, T_world_part: FloatArray) -> tuple[Mesh, ...]:
-    """Return all bodies that stand in the world, without the part, as meshes in the part's frame."""
-    meshes = []
-    for body in cell.bodies:
-        if body.parent == WORLD and body.name != PART:
-            vertices, faces = triangles_of(body.shape)
-            T_part_body = inverse(T_world_part) @ body.T_parent_body
-            meshes.append(Mesh(apply(T_part_body, vertices), faces.astype(np.int32)))
-    return tuple(meshes)
 
 
 def _profile_slice(

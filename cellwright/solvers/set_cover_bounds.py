@@ -18,7 +18,6 @@ from cellwright.arrays import FloatArray
 from cellwright.errors import InvalidInputError
 from cellwright.solvers.set_cover_matrix import CoverMatrix, cover_matrix
 
-
 _PATIENCE = 20
 """Steps without progress before the step length shrinks; fewer give up early, more waste steps."""
 

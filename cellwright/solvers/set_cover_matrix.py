@@ -7,7 +7,7 @@ twice, by columns and by rows, because every method walks it both ways.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numba
@@ -152,7 +152,7 @@ def cover_matrix(matrix: Any, costs: Any = None) -> CoverMatrix:
     """
     if isinstance(matrix, CoverMatrix):
         given = matrix.costs if costs is None else costs
-        return CoverMatrix(*_pattern(matrix), _checked_costs(given, matrix.n_columns))
+        return replace(matrix, costs=_checked_costs(given, matrix.n_columns))
     if isinstance(matrix, tuple):
         row, column, n_rows, n_columns = _entries_of_tuple(*matrix)
     else:
@@ -168,13 +168,7 @@ def cover_matrix(matrix: Any, costs: Any = None) -> CoverMatrix:
     return _from_entries(row, column, n_rows, _checked_costs(costs, n_columns))
 
 
-def _pattern(matrix: CoverMatrix) -> tuple[IntArray, Int32Array, IntArray, Int32Array]:
-    return matrix.column_starts, matrix.column_rows, matrix.row_starts, matrix.row_columns
-
-
-def _entries_of_tuple(
-    column_starts: Any, rows: Any, n_rows: int | None = None
-) -> tuple[IntArray, IntArray, int, int]:
+def _entries_of_tuple(column_starts: Any, rows: Any, n_rows: int | None = None) -> tuple[IntArray, IntArray, int, int]:
     starts, row = np.asarray(column_starts, np.int64), np.asarray(rows, np.int64)
     if starts.ndim != 1 or len(starts) == 0 or starts[0] != 0 or starts[-1] != len(row) or np.any(np.diff(starts) < 0):
         raise InvalidInputError(
@@ -201,10 +195,10 @@ def _checked_costs(costs: Any, n_columns: int) -> FloatArray:
 
 def _from_entries(row: AnyArray, column: AnyArray, n_rows: int, costs: FloatArray) -> CoverMatrix:
     """Build both orders from entries in any order by counting sorts; entries given twice count once."""
-    return CoverMatrix(
-        *_sort_entries(np.asarray(row, np.int32), np.asarray(column, np.int32), n_rows, len(costs)),
-        np.array(costs, np.float64),
+    column_starts, column_rows, row_starts, row_columns = _sort_entries(
+        np.asarray(row, np.int32), np.asarray(column, np.int32), n_rows, len(costs)
     )
+    return CoverMatrix(column_starts, column_rows, row_starts, row_columns, np.array(costs, np.float64))
 
 
 @numba.njit(cache=True, nogil=True)

@@ -43,7 +43,12 @@ class Relaxation:
 
 
 def solve_relaxation(
-    matrix: CoverMatrix, duals: FloatArray, *, n_spare: int = 0, max_work: float = math.inf
+    matrix: CoverMatrix,
+    duals: FloatArray,
+    *,
+    n_spare: int = 0,
+    stop_above: float = math.inf,
+    max_work: float = math.inf,
 ) -> Relaxation:
     """Solve the linear relaxation, starting from prices that need not be good.
 
@@ -51,6 +56,7 @@ def solve_relaxation(
         matrix: The matrix; every row is covered by some column.
         duals: Prices of the rows, >= 0, (rows,).
         n_spare: Rows that may stay uncovered.
+        stop_above: Stop as soon as the bound exceeds this.
         max_work: Work at most, in visited entries.
 
     Raises:
@@ -77,7 +83,7 @@ def solve_relaxation(
         value = matrix.bound(priced, n_needed)
         if value > best_value:
             best, best_value = priced, value
-        if solver.modelStatusToString(solver.getModelStatus()) != "Optimal":
+        if best_value > stop_above or solver.modelStatusToString(solver.getModelStatus()) != "Optimal":
             break
         share[:] = 0.0
         share[listed] = np.asarray(solution.col_value[n_spare_columns(matrix, n_spare) :])

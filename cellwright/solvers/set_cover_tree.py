@@ -12,9 +12,12 @@ number of threads.
 
 from __future__ import annotations
 
+import math
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from functools import partial
 
+import numba
 import numpy as np
 
 from cellwright.arrays import FloatArray, IntArray
@@ -71,7 +74,13 @@ class _Result:
 
 
 def search_tree(
-    matrix: CoverMatrix, duals: FloatArray, budget: float, *, max_work: float, n_threads: int = 2
+    matrix: CoverMatrix,
+    duals: FloatArray,
+    budget: float,
+    *,
+    max_work: float,
+    max_nodes: float = math.inf,
+    n_threads: int = 2,
 ) -> TreeOutcome:
     """Search for a cover that costs at most ``budget``; all rows have to be covered.
 
@@ -80,6 +89,7 @@ def search_tree(
         duals: Prices of the rows, >= 0, (rows,), as good as at hand.
         budget: Largest cost of interest.
         max_work: Matrix entries to visit, checked between batches of nodes.
+        max_nodes: Nodes to open, checked likewise.
         n_threads: Threads; the result does not depend on them.
 
     Raises:
@@ -90,11 +100,11 @@ def search_tree(
     stack = [_Node(matrix, columns, duals, np.empty(0, np.int64), 0.0, bound)]
     work, n_nodes = 0.0, 0
     with ThreadPoolExecutor(max_workers=n_threads) as pool:
-        while stack and work < max_work:
+        while stack and work < max_work and n_nodes < max_nodes:
             batch = [stack.pop() for _ in range(min(_BATCH, len(stack)))]
             n_nodes += len(batch)
             share = (max_work - work) / len(batch)
-            for result in pool.map(lambda node: _expand(node, budget, share), batch):
+            for result in pool.map(partial(_expand, limit=budget, max_work=share), batch):
                 work += result.work
                 if result.found is not None:
                     return TreeOutcome(result.found, bound, True, work, n_nodes)
@@ -119,7 +129,7 @@ def _expand(node: _Node, limit: float, max_work: float) -> _Result:
     if left.n_columns <= _LEAF_COLUMNS:
         _finish(_Node(left, columns, duals, taken, spent, node.bound), budget, max_work, result)
         return result
-    relaxed = solve_relaxation(left, duals, max_work=max_work)
+    relaxed = solve_relaxation(left, duals, stop_above=budget + TOLERANCE, max_work=max_work)
     result.work += relaxed.work
     if relaxed.value > budget + TOLERANCE:
         return result
@@ -158,14 +168,9 @@ def _branching_rows(matrix: CoverMatrix, share: FloatArray, duals: FloatArray) -
 
     Among equally split pairs those of high price come first: there the bound moves most.
     """
-    # whole multiples of 2^-20 make the matrix product exact, whatever the order of summation
-    weight = np.rint(share * 2.0**20)
-    support = np.flatnonzero(weight > 0)
-    member = np.zeros((matrix.n_rows, len(support)))
-    for at, column in enumerate(support):
-        member[matrix.rows_of(int(column)), at] = 1.0
-    together = (member * weight[support]) @ member.T / 2.0**20
-    np.fill_diagonal(together, 0.0)
+    # whole multiples of 2^-20: sums are exact
+    weight = np.rint(share * 2.0**20).astype(np.int64)
+    together = _covered_together(matrix.column_starts, matrix.column_rows, weight, matrix.n_rows) / 2.0**20
     split = np.minimum(together, 1.0 - together)
     if split.max() < 1e-3:
         return None
@@ -173,6 +178,20 @@ def _branching_rows(matrix: CoverMatrix, share: FloatArray, duals: FloatArray) -
     score = np.where(split > 0.0, split, 0.0) * (1e-3 + price)
     first, second = np.unravel_index(int(np.argmax(score)), score.shape)
     return int(first), int(second)
+
+
+@numba.njit(cache=True, nogil=True)
+def _covered_together(starts, rows, weight, n_rows):  # type: ignore[no-untyped-def]
+    """Return the weight of the columns that cover both rows of each pair, zero on the diagonal, (rows, rows)."""
+    together = np.zeros((n_rows, n_rows), np.int64)
+    for j in range(len(weight)):
+        if weight[j] > 0:
+            for s in range(starts[j], starts[j + 1]):
+                for t in range(starts[j], starts[j + 1]):
+                    together[rows[s], rows[t]] += weight[j]
+    for i in range(n_rows):
+        together[i, i] = 0
+    return together
 
 
 def _with_row(matrix: CoverMatrix, members: FloatArray) -> CoverMatrix:

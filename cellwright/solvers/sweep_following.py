@@ -17,11 +17,11 @@ seconds on two cores.
 from __future__ import annotations
 
 import itertools
+import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 
 from cellwright.arrays import FloatArray, Int8Array, Int32Array, IntArray
@@ -30,9 +30,9 @@ from cellwright.cell.cell import Cell
 from cellwright.cell.inverse_kinematics import PARALLEL_AXES, InverseKinematics, inverse_kinematics_for
 from cellwright.cell.sphere_filter import SphereFilter, sphere_filter
 from cellwright.cell.transforms import inverse
-from cellwright.errors import InvalidInputError
 from cellwright.solvers.joint_branches import greatest_changes
 from cellwright.solvers.sweep_pieces import evaluate_sweep, follow_rows
+from cellwright.solvers.sweep_poses import CandidateSweeps, FollowSettings, SweepPoses, spread_poses, sweep_poses
 from cellwright.solvers.sweep_settling import Budget, CollisionCheck, SweepStates, settle_sweep
 from cellwright.solvers.sweep_states import classify_sweep
 
@@ -43,52 +43,6 @@ _FIELD_PADDING = 0.1
 
 _SETTLED_AT_ONCE = 64
 """Sweeps whose states are found again together before the exact engine is asked about them."""
-
-
-@dataclass(frozen=True)
-class FollowSettings:
-    """How sweeps are followed; SI units.
-
-    Attributes:
-        margin: Lead-in and run-out beyond the useful interval.
-        step: Largest distance of poses.
-        scan_speed: Speed along the sweep.
-        shortest: Least length of a piece.
-        clearance: Least distance between bodies.
-        link_overshoot, tool_overshoot, field_spacing: Fineness of the collision filter, see `sphere_filter`.
-        max_exact_checks: Most states that the exact engine is asked about.
-        worthwhile_gain: Share of more samples that a sweep's best piece must be able to gain for that.
-    """
-
-    margin: float = 0.03
-    step: float = 0.005
-    scan_speed: float = 0.05
-    shortest: float = 0.05
-    clearance: float = 0.005
-    link_overshoot: float = 0.018
-    tool_overshoot: float = 0.010
-    field_spacing: float = 0.008
-    max_exact_checks: int = 20_000
-    worthwhile_gain: float = 0.1
-
-
-@dataclass(frozen=True, eq=False)
-class Sweeps:
-    """Sweeps to follow, and the samples that they measure.
-
-    Attributes:
-        T_world_scanner: Pose of the laser-emitter frame at travel 0, (sweeps, 4, 4).
-        start, end: Travel along its x axis at which the sweep measures its first and last sample, (sweeps,) in
-            m; NaN if it measures none.
-        sample_sweep: Sweep of each sample measured, ascending, (entries,).
-        sample_travel: Travel at which it is measured in m, (entries,).
-    """
-
-    T_world_scanner: FloatArray
-    start: FloatArray
-    end: FloatArray
-    sample_sweep: Int32Array
-    sample_travel: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,40 +72,19 @@ class FollowedSweeps:
     n_unsettled: int
 
 
-@dataclass(frozen=True, eq=False)
-class SweepPoses:
-    """The poses of all sweeps that measure something.
-
-    Attributes:
-        sweep: Row of the sweeps, (m,).
-        T_base_flange: Flange pose at the first pose, (m, 4, 4).
-        direction: Unit vector of the travel in the base, (m, 3).
-        n_poses, step, first_travel: Poses, their distance in m, the travel of the first, (m,).
-        useful: First and last pose at or within the useful interval, (m, 2).
-        entry: First sample of each sweep and the end, (m, 2).
-    """
-
-    sweep: IntArray
-    T_base_flange: FloatArray
-    direction: FloatArray
-    n_poses: IntArray
-    step: FloatArray
-    first_travel: FloatArray
-    useful: IntArray
-    entry: IntArray
-
-
 def follow_sweeps(
     cell: Cell,
-    sweeps: Sweeps,
+    sweeps: CandidateSweeps,
     *,
     settings: FollowSettings,
     exact: CollisionCheck | None = None,
+    n_threads: int | None = None,
     progress: Callable[[float], None] = lambda share: None,
 ) -> FollowedSweeps:
     """Find the executable pieces of all sweeps.
 
     Without ``exact`` undecided states stay blocked. ``cell`` has the part in it if the sweeps go around one.
+    ``n_threads``: as many as cores if left out; the result does not depend on it.
 
     Raises:
         InvalidInputError: If the arm has no inverse kinematics or a sweep's interval is malformed.
@@ -160,7 +93,7 @@ def follow_sweeps(
     follower = _Follower(cell, settings, sweeps)
     table = _Table.empty(len(poses.sweep), follower.ik.n_branches, cell.robot.chain.n_joints)
     n_checks = n_unsettled = 0
-    with ThreadPoolExecutor() as pool:
+    with ThreadPoolExecutor(n_threads or len(os.sched_getaffinity(0))) as pool:
         jobs = [(pool.submit(follower.follow, poses, rows, table), len(rows)) for rows in _chunks(poses.n_poses)]
         done = 0
         for job, count in jobs:
@@ -170,44 +103,6 @@ def follow_sweeps(
         if exact is not None:
             n_checks, n_unsettled = _settle(follower, poses, table, exact, pool, progress)
     return _gathered(sweeps, poses, table, n_checks, n_unsettled)
-
-
-def sweep_poses(cell: Cell, sweeps: Sweeps, settings: FollowSettings) -> SweepPoses:
-    """Cut the useful intervals with their margins into poses at most a step apart.
-
-    Raises:
-        InvalidInputError: If an interval ends before it starts.
-    """
-    sweep = np.flatnonzero(np.isfinite(sweeps.start))
-    start, end = sweeps.start[sweep], sweeps.end[sweep]
-    if not (end >= start).all():
-        worst = int(sweep[np.argmin(np.where(end >= start, 0.0, -1.0))])
-        raise InvalidInputError(
-            f"view {worst} measures from {sweeps.start[worst]:.6g} m to {sweeps.end[worst]:.6g} m: "
-            "the end must not lie before the start"
-        )
-    length = end - start + 2.0 * settings.margin
-    # at least two poses, so that every sweep has a direction in joint space
-    intervals = np.maximum(np.ceil(length / settings.step - 1e-9), 1.0).astype(np.int64)
-    step = length / intervals
-    first_travel = start - settings.margin
-    T_world_scanner = sweeps.T_world_scanner[sweep]
-    T = inverse(cell.T_world_base) @ T_world_scanner
-    direction = np.ascontiguousarray(T[:, :3, 0])
-    T[:, :3, 3] += first_travel[:, None] * direction
-    safe = np.where(step > 0.0, step, 1.0)
-    useful = np.stack([np.floor(settings.margin / safe + 1e-9), np.ceil((end - first_travel) / safe - 1e-9)], -1)
-    entry = np.searchsorted(sweeps.sample_sweep, np.stack([sweep, sweep + 1], -1))
-    return SweepPoses(
-        sweep,
-        T @ inverse(cell.T_flange_scanner),
-        direction,
-        intervals + 1,
-        step,
-        first_travel,
-        np.clip(useful.astype(np.int64), 0, intervals[:, None]),
-        entry.astype(np.int64),
-    )
 
 
 def _chunks(n_poses: IntArray) -> Iterator[IntArray]:
@@ -235,7 +130,7 @@ class _Table:
 class _Follower:
     """The cell in the form that kernels take."""
 
-    def __init__(self, cell: Cell, settings: FollowSettings, sweeps: Sweeps) -> None:
+    def __init__(self, cell: Cell, settings: FollowSettings, sweeps: CandidateSweeps) -> None:
         self.chain = cell.robot.chain
         self.reference = np.array(cell.start, float)
         self.settings = settings
@@ -308,7 +203,7 @@ class _Follower:
         """Return the first pose of each sweep and the end, all flange poses (n, 4, 4), all their solutions."""
         first = np.concatenate([[0], np.cumsum(poses.n_poses[rows])])
         T = np.empty((first[-1], 4, 4))
-        _spread_poses(poses.T_base_flange, poses.direction, poses.step, rows, first, T)
+        spread_poses(poses.T_base_flange, poses.direction, poses.step, rows, first, T)
         return first, T, self.solutions(T)
 
     def states(self, poses: SweepPoses, rows: IntArray) -> list[SweepStates]:
@@ -346,20 +241,6 @@ class _Follower:
         )
 
 
-@numba.njit(cache=True, nogil=True)
-def _spread_poses(
-    T_first: FloatArray, direction: FloatArray, step: FloatArray, rows: IntArray, first: IntArray, out: FloatArray
-) -> None:
-    """Write the flange poses of some sweeps one after the other to ``out`` (poses, 4, 4)."""
-    for place in range(len(rows)):
-        row = rows[place]
-        for k in range(first[place + 1] - first[place]):
-            T = out[first[place] + k]
-            T[:] = T_first[row]
-            for axis in range(3):
-                T[axis, 3] += k * step[row] * direction[row, axis]
-
-
 def _settle(
     follower: _Follower,
     poses: SweepPoses,
@@ -395,7 +276,9 @@ def _settle(
     return settings.max_exact_checks - budget.left, 0
 
 
-def _gathered(sweeps: Sweeps, poses: SweepPoses, table: _Table, n_checks: int, n_unsettled: int) -> FollowedSweeps:
+def _gathered(
+    sweeps: CandidateSweeps, poses: SweepPoses, table: _Table, n_checks: int, n_unsettled: int
+) -> FollowedSweeps:
     """Put the pieces in order: by sweep, then most samples, then longest, then lowest branch."""
     row, branch = np.nonzero(table.pieces[:, :, 2])
     first, last, count = table.pieces[row, branch].T

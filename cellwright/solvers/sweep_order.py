@@ -18,8 +18,10 @@ import numpy as np
 from cellwright.arrays import BoolArray, FloatArray, Int32Array
 from cellwright.errors import InfeasibleError, listed
 from cellwright.solvers.order_bound import one_tree_bound
-from cellwright.solvers.order_kernels import best_options, held_karp, improve_sequence
+from cellwright.solvers.order_kernels import best_options, cheapest_through, held_karp, improve_sequence
 
+MOST_MEMORY = 1 << 30
+"""Bytes that dynamic programming may take: 17 sweeps with 8 alternatives need half of it."""
 SAME = 1e-9
 """Seconds; differences below this are none."""
 
@@ -166,27 +168,38 @@ def order_best(
 ) -> SweepOrder:
     """Return the best order, exact for up to ``exact_up_to`` sweeps, never longer than the ``known`` one.
 
-    Dynamic programming takes time and memory 2^sweeps: beyond that, local search with a lower bound. After
+    Dynamic programming takes time and memory 2^sweeps: beyond that or `MOST_MEMORY`, local search with a lower
+    bound. After
     ``n_evaluations`` connections the search stops with what it has and the bound it has proven.
     """
-    if len(options.name) <= exact_up_to:
+    n_bytes = 2 * 8 * len(options.duration) << len(options.name)
+    if len(options.name) <= exact_up_to and n_bytes <= MOST_MEMORY:
         return _exact(options, costs, known, n_evaluations)
     return _searched(options, costs, known, n_evaluations)
 
 
 def _exact(options: SweepOptions, costs: ConnectionCosts, known: SweepOrder, n_evaluations: int) -> SweepOrder:
+    """Solve on bounds, evaluate, solve again; drop options through which no order can be shorter any more."""
     budget = costs.n_evaluated + n_evaluations
     best = _local_search(options, costs, known.options, (known.options, known.duration), budget)
+    kept = np.arange(len(options.duration))
     while True:
-        totals, orders = held_karp(costs.value, options.duration, options.first, best[1] - SAME)
+        first = np.searchsorted(kept, options.first).astype(np.int32)
+        if np.any(np.diff(first) == 0):
+            return SweepOrder(*best, best[1], proven=True)
+        with_start = np.append(kept, options.start)
+        problem = costs.value[np.ix_(with_start, with_start)], options.duration[kept], first
+        totals, orders, states = held_karp(*problem, best[1] - SAME)
         bound = min(float(totals.min()), best[1])
         if bound >= best[1] - SAME or costs.n_evaluated > budget:
             return SweepOrder(*best, bound, proven=bound >= best[1] - SAME)
+        through = cheapest_through(states, *problem)
         for row in np.argsort(totals, kind="stable"):
             if totals[row] < best[1] - SAME:
-                best = _settled(options, costs, orders[row], best)
+                best = _settled(options, costs, kept[orders[row]], best)
         # cheap, and finds most of what the next subset search would find on the new costs
-        best = _local_search(options, costs, orders[int(np.argmin(totals))], best, budget)
+        best = _local_search(options, costs, kept[orders[int(np.argmin(totals))]], best, budget)
+        kept = kept[through < best[1] - SAME]
 
 
 def _searched(options: SweepOptions, costs: ConnectionCosts, known: SweepOrder, n_evaluations: int) -> SweepOrder:

@@ -14,14 +14,8 @@ import numpy as np
 from cellwright.arrays import BoolArray, FloatArray, Int8Array, Int32Array, IntArray
 from cellwright.causes import Cause
 from cellwright.solvers.joint_branches import TURN, greatest_changes, turns_within
-from cellwright.solvers.sweep_states import (
-    BEYOND_LIMITS,
-    CLEAR,
-    COLLIDING,
-    UNDECIDED,
-    FilterArrays,
-    classify_sweep,
-)
+from cellwright.solvers.state_tests import BEYOND_LIMITS, CLEAR, COLLIDING, UNDECIDED, FilterArrays
+from cellwright.solvers.sweep_states import classify_sweep
 
 _OUT_OF_REACH, _JOINT_LIMIT, _COLLISION = int(Cause.OUT_OF_REACH), int(Cause.JOINT_LIMIT), int(Cause.COLLISION)
 _JOINT_SPEED, _TOO_SHORT = int(Cause.JOINT_SPEED), int(Cause.TOO_SHORT)
@@ -193,7 +187,8 @@ def evaluate_sweep(
             wound_into(path[pieces[branch, 0] : pieces[branch, 1] + 1], lower, upper, reference, q_start[branch])
     if found:
         return 0, -1
-    return sweep_outcome(status, blocker, linked, useful[0], useful[1], n_bodies)
+    cause, body = sweep_outcome(status, blocker, linked, useful[0], useful[1], n_bodies)
+    return cause, body
 
 
 @numba.njit(cache=True, nogil=True)

@@ -14,8 +14,8 @@ import numpy as np
 
 from cellwright.arrays import BoolArray, FloatArray, Int8Array, Int32Array
 from cellwright.cell.robot import Chain
+from cellwright.solvers.state_tests import BETWEEN_POSES, CLEAR, COLLIDING, UNDECIDED
 from cellwright.solvers.sweep_pieces import longest_piece
-from cellwright.solvers.sweep_states import BETWEEN_POSES, CLEAR, COLLIDING, UNDECIDED
 
 CollisionCheck = Callable[[FloatArray], bool]
 """Tells exactly whether the arm at a configuration (joints,) comes closer to something than the clearance."""

@@ -16,181 +16,21 @@ import math
 import numba
 import numpy as np
 
-from cellwright.arrays import AnyArray, BoolArray, Float32Array, FloatArray, Int8Array, Int32Array, IntArray
+from cellwright.arrays import BoolArray, FloatArray, Int8Array, Int32Array, IntArray
 from cellwright.cell.chain_kinematics import link_poses_into
-from cellwright.cell.convex_gap import convex_gap
-from cellwright.cell.sphere_filter import (
-    BLOCKED,
-    BY_HULL,
-    BY_NONE,
-    FREE,
-    OPEN,
-    ball_bounds,
-    compare_bodies,
-    greatest_shift,
-    relative_into,
-)
+from cellwright.cell.sphere_filter import BY_NONE, greatest_shift
 from cellwright.solvers.joint_branches import order_branches, turns_within
-
-UNREACHED, BEYOND_LIMITS, COLLIDING, UNDECIDED, CLEAR = range(5)
-"""States in the order of the tests: no solution, outside the joint limits, blocked, left to the exact engine, free."""
-
-BETWEEN_POSES = 0.6
-"""Share of the way between two poses that a point may be away from the nearer one."""
-
-FilterArrays = tuple[AnyArray, ...]
-"""`SphereFilter.arrays`. Unpacked once a sweep: taking them from the tuple costs more than a test does."""
-
-
-@numba.njit(cache=True, nogil=True)
-def _tool_states(
-    f: FilterArrays,
-    last: int,
-    T_base_last: FloatArray,
-    step: float,
-    clearance: float,
-    status: Int8Array,
-    blocker: Int32Array,
-) -> None:
-    """Test what the last link carries against what stands still, at each pose (n, 4, 4) of the last link."""
-    node, child, carrier, real, whole, lower, upper, hull_points, hull_real, hull_whole, pair, lever = f
-    n_pairs = len(pair)
-    reserve, direction, simplex = np.full(n_pairs, -1.0), np.zeros((n_pairs, 3)), np.empty((4, 3))
-    wanted = max(clearance, BETWEEN_POSES * step)
-    for k in range(len(T_base_last)):
-        status[k], blocker[k] = CLEAR, -1
-        for p in range(n_pairs):
-            reserve[p] -= step
-        for p in range(n_pairs):
-            if carrier[pair[p, 0]] != last or pair[p, 2] != 0 or reserve[p] >= wanted:
-                continue
-            found, reserve[p], _ = compare_bodies(
-                node,
-                child,
-                real,
-                whole,
-                lower,
-                upper,
-                hull_points,
-                hull_real,
-                hull_whole,
-                pair,
-                p,
-                T_base_last[k],
-                wanted,
-                clearance,
-                direction,
-                simplex,
-            )
-            if found != FREE:
-                status[k], blocker[k] = COLLIDING if found == BLOCKED else UNDECIDED, pair[p, 4]
-            if found == BLOCKED:
-                break
-
-
-@numba.njit(cache=True, nogil=True)
-def _witnessed(
-    node: FloatArray,
-    carrier: IntArray,
-    real: FloatArray,
-    whole: IntArray,
-    lower: Float32Array,
-    upper: Float32Array,
-    hull_points: FloatArray,
-    hull_real: FloatArray,
-    hull_whole: IntArray,
-    pair: IntArray,
-    links: FloatArray,
-    clearance: float,
-    witness: IntArray,
-    relative: FloatArray,
-    direction: FloatArray,
-    simplex: FloatArray,
-) -> bool:
-    """Tell whether the pair and ball (2,) that blocked a state before block this one too."""
-    p, ball = witness[0], witness[1]
-    if ball == BY_NONE:
-        return False
-    relative_into(links, pair[p, 2], carrier[pair[p, 0]], relative)
-    if ball == BY_HULL:
-        _, most = convex_gap(
-            hull_points,
-            hull_real,
-            hull_whole,
-            pair[p, 1],
-            pair[p, 5],
-            relative,
-            clearance,
-            clearance,
-            direction[p],
-            simplex,
-        )
-        return most < clearance
-    _, high = ball_bounds(node, real, whole, lower, upper, ball, pair[p, 1], relative)
-    return bool(high - node[ball, 4] < clearance)
-
-
-@numba.njit(cache=True, nogil=True)
-def _arm_state(
-    node: FloatArray,
-    child: IntArray,
-    carrier: IntArray,
-    real: FloatArray,
-    whole: IntArray,
-    lower: Float32Array,
-    upper: Float32Array,
-    hull_points: FloatArray,
-    hull_real: FloatArray,
-    hull_whole: IntArray,
-    pair: IntArray,
-    last: int,
-    links: FloatArray,
-    shift: FloatArray,
-    clearance: float,
-    reserve: FloatArray,
-    witness: IntArray,
-    relative: FloatArray,
-    direction: FloatArray,
-    simplex: FloatArray,
-) -> tuple[int, int]:
-    """Test one state, but for what the last link carries against what stands still.
-
-    Returns the state and the row of the body in the way: the standing one, or that on the earlier link. The pair
-    that blocked last is tried first; ``witness`` (2,) receives the pair and the ball that block.
-    """
-    n_pairs = len(pair)
-    status, blocker = CLEAR, -1
-    for turn in range(n_pairs):
-        p = (witness[0] + turn) % n_pairs
-        link, carried = pair[p, 2], carrier[pair[p, 0]]
-        wanted = max(clearance, BETWEEN_POSES * shift[p])
-        if reserve[p] >= wanted or (link == 0 and carried == last):
-            continue
-        relative_into(links, link, carried, relative)
-        found, reserve[p], ball = compare_bodies(
-            node,
-            child,
-            real,
-            whole,
-            lower,
-            upper,
-            hull_points,
-            hull_real,
-            hull_whole,
-            pair,
-            p,
-            relative,
-            wanted,
-            clearance,
-            direction,
-            simplex,
-        )
-        if found == BLOCKED:
-            witness[0], witness[1] = p, ball
-            return COLLIDING, pair[p, 4]
-        if found == OPEN:
-            status, blocker = UNDECIDED, pair[p, 4]
-    return status, blocker
+from cellwright.solvers.state_tests import (
+    BEYOND_LIMITS,
+    CLEAR,
+    COLLIDING,
+    UNDECIDED,
+    UNREACHED,
+    FilterArrays,
+    arm_state,
+    tool_states,
+    witnessed,
+)
 
 
 @numba.njit(cache=True, nogil=True)
@@ -210,23 +50,57 @@ def _mark_blocked(
 
     The stride is at most the shortest piece in steps, so no piece that would count fits between the two.
     """
-    node, child, carrier, real, whole, lower, upper, hull_points, hull_real, hull_whole, pair, lever = f
+    node, child, carrier, real, whole, lower, upper, hull_points, hull_real, hull_whole, pair, _ = f
     n, n_joints = q.shape
     links, relative = np.empty((n_joints + 1, 4, 4)), np.empty((4, 4))
+    centres = np.empty((len(carrier), 3))
     still, reserve, witness = np.zeros(len(pair)), np.empty(len(pair)), np.array([0, BY_NONE])
     before = -1
     for k in range(0, n, stride):
         if status[k] == CLEAR:
             link_poses_into(T_parent_joint, axis, q[k], links)
             found, body = COLLIDING, pair[witness[0], 4]
-            if not _witnessed(
-                *(node, carrier, real, whole, lower, upper, hull_points, hull_real, hull_whole, pair),
-                *(links, clearance, witness, relative, direction, simplex),
+            if not witnessed(
+                node,
+                carrier,
+                real,
+                whole,
+                lower,
+                upper,
+                hull_points,
+                hull_real,
+                hull_whole,
+                pair,
+                links,
+                clearance,
+                witness,
+                relative,
+                direction,
+                simplex,
             ):
                 reserve[:] = -1.0
-                found, body = _arm_state(
-                    *(node, child, carrier, real, whole, lower, upper, hull_points, hull_real, hull_whole, pair),
-                    *(n_joints, links, still, clearance, reserve, witness, relative, direction, simplex),
+                found, body = arm_state(
+                    node,
+                    child,
+                    carrier,
+                    real,
+                    whole,
+                    lower,
+                    upper,
+                    hull_points,
+                    hull_real,
+                    hull_whole,
+                    pair,
+                    n_joints,
+                    links,
+                    still,
+                    clearance,
+                    reserve,
+                    witness,
+                    relative,
+                    centres,
+                    direction,
+                    simplex,
                 )
             if found == COLLIDING:
                 status[k], blocker[k] = COLLIDING, body
@@ -295,7 +169,7 @@ def _branch_states(
     n_pairs = len(pair)
     links, following = np.empty((n_joints + 1, 4, 4)), np.empty((n_joints + 1, 4, 4))
     before, after, ways = np.zeros(n_pairs), np.zeros(n_pairs), np.empty(len(carrier))
-    reserve, relative = np.full(n_pairs, -1.0), np.empty((4, 4))
+    reserve, relative, centres = np.full(n_pairs, -1.0), np.empty((4, 4)), np.empty((len(carrier), 3))
     direction, simplex, witness = np.zeros((n_pairs, 3)), np.empty((4, 3)), np.array([0, BY_NONE])
     shift[:] = 0.0
     for k in range(n):
@@ -309,9 +183,23 @@ def _branch_states(
             continue
         if not known:
             link_poses_into(T_parent_joint, axis, q[k], links)
-        if _witnessed(
-            *(node, carrier, real, whole, lower, upper, hull_points, hull_real, hull_whole, pair),
-            *(links, clearance, witness, relative, direction, simplex),
+        if witness[1] != BY_NONE and witnessed(
+            node,
+            carrier,
+            real,
+            whole,
+            lower,
+            upper,
+            hull_points,
+            hull_real,
+            hull_whole,
+            pair,
+            links,
+            clearance,
+            witness,
+            relative,
+            direction,
+            simplex,
         ):
             status[k], blocker[k] = COLLIDING, pair[witness[0], 4]
             known = arrived = False
@@ -326,9 +214,28 @@ def _branch_states(
             shift[k + 1] = _shifts_into(node, carrier, pair, lever, links, following, q[k + 1] - q[k], ways, after)
         for p in range(n_pairs):
             before[p] = max(before[p], after[p])
-        status[k], blocker[k] = _arm_state(
-            *(node, child, carrier, real, whole, lower, upper, hull_points, hull_real, hull_whole, pair),
-            *(n_joints, links, before, clearance, reserve, witness, relative, direction, simplex),
+        status[k], blocker[k] = arm_state(
+            node,
+            child,
+            carrier,
+            real,
+            whole,
+            lower,
+            upper,
+            hull_points,
+            hull_real,
+            hull_whole,
+            pair,
+            n_joints,
+            links,
+            before,
+            clearance,
+            reserve,
+            witness,
+            relative,
+            centres,
+            direction,
+            simplex,
         )
         if status[k] == CLEAR and tool_status[k] == UNDECIDED:
             status[k], blocker[k] = UNDECIDED, tool_blocker[k]
@@ -371,7 +278,7 @@ def classify_sweep(
     place = np.empty((n, n_branches), np.bool_)
     order_branches(q, places_kept, greatest, place)
     tool_status, tool_blocker = np.empty(n, np.int8), np.empty(n, np.int32)
-    _tool_states(f, n_joints, T_base_last, step, clearance, tool_status, tool_blocker)
+    tool_states(f, n_joints, T_base_last, step, clearance, tool_status, tool_blocker)
     path = np.empty((n, n_joints))
     stride = max(1, math.ceil(shortest / step - 1e-6)) if step > 0.0 else 1
     for branch in range(n_branches):

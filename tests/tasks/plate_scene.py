@@ -8,7 +8,7 @@ import trimesh
 from cellwright.arrays import FloatArray
 from cellwright.cell.transforms import quaternion_from_rotation
 from schemas.motion import ScanCloud
-from schemas.part import PartMesh, SurfaceSamples
+from schemas.part import PartMesh, SurfaceSamples, Surroundings
 from schemas.views import Reachability, Viewpoints, ViewSelection
 
 DOWN = np.diag([1.0, -1.0, -1.0])
@@ -27,6 +27,16 @@ def plate(*, two_sided: bool = False) -> PartMesh:
         two_sided=two_sided,
         finding=(),
     )
+
+
+def nothing_around() -> Surroundings:
+    return Surroundings(np.empty((0, 3)), np.empty((0, 3), np.int32))
+
+
+def screen_above(height: float) -> Surroundings:
+    """A square 0.2 m wide sheet above the middle of the plate."""
+    corners = [[-0.1, -0.1, height], [0.1, -0.1, height], [0.1, 0.1, height], [-0.1, 0.1, height]]
+    return Surroundings(np.array(corners), np.array([[0, 1, 2], [0, 2, 3]], np.int32))
 
 
 def points_on_top(*xy: tuple[float, float]) -> SurfaceSamples:

@@ -7,7 +7,7 @@ from cellwright.errors import InvalidInputError
 from schemas.artefact import digest
 from schemas.views import CoverageGaps, Measurability
 from tasks.extend_measurability import ExtensionParams, extend_measurability
-from tests.tasks.plate_scene import plate, points_on_top, reached, views_down
+from tests.tasks.plate_scene import nothing_around, plate, points_on_top, reached, views_down
 
 CLOUD = points_on_top((0.0, 0.0), (0.09, 0.0), (0.0, 0.1), (0.0, 0.19), (0.02, 0.1))
 VIEWS = views_down((0.0, 0.0), (0.0, 0.1), (0.0, 0.0))
@@ -27,7 +27,9 @@ def gaps_at(*points: int) -> CoverageGaps:
 
 
 def extended(gaps: CoverageGaps, before: Measurability = BEFORE) -> Measurability:
-    after = extend_measurability(plate(), CLOUD, gaps, VIEWS, before, REACHED, params=ExtensionParams())
+    after = extend_measurability(
+        plate(), nothing_around(), CLOUD, gaps, VIEWS, before, REACHED, params=ExtensionParams()
+    )
     assert isinstance(after, Measurability)
     return after
 
@@ -62,7 +64,14 @@ def test_artefacts_that_do_not_belong_together_are_refused() -> None:
         extended(gaps_at(7))
     with pytest.raises(InvalidInputError, match="3 views but there are 1"):
         extend_measurability(
-            plate(), CLOUD, gaps_at(1), views_down((0.0, 0.0)), BEFORE, REACHED, params=ExtensionParams()
+            plate(),
+            nothing_around(),
+            CLOUD,
+            gaps_at(1),
+            views_down((0.0, 0.0)),
+            BEFORE,
+            REACHED,
+            params=ExtensionParams(),
         )
 
 

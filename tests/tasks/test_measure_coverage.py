@@ -9,7 +9,7 @@ from schemas.artefact import digest
 from schemas.part import SurfaceSamples
 from schemas.views import Coverage
 from tasks.measure_coverage import CoverageParams, measure_coverage
-from tests.tasks.plate_scene import plate, points_on_top, reached, scanned, selected, views_down
+from tests.tasks.plate_scene import nothing_around, plate, points_on_top, reached, scanned, selected, views_down
 
 CLOUD = points_on_top((0.0, 0.0), (0.09, 0.0), (0.0, 0.1), (0.0, 0.19), (0.02, -0.1), (0.03, 0.0))
 VIEWS = views_down((0.0, 0.0), (0.0, 0.1), (0.0, -0.1))
@@ -19,7 +19,7 @@ REACHED = reached(3, (0, -0.05, 0.05), (1, -0.01, 0.05), outcome=(0, 0, Cause.CO
 def covered(points: list[list[float]], cloud: SurfaceSamples = CLOUD, radius_m: float = 2e-3) -> Coverage:
     params = CoverageParams(radius_m=radius_m)
     scan = scanned(np.array(points).reshape(-1, 3))
-    found = measure_coverage(plate(), cloud, scan, VIEWS, REACHED, selected(0), params=params)
+    found = measure_coverage(plate(), nothing_around(), cloud, scan, VIEWS, REACHED, selected(0), params=params)
     assert isinstance(found, Coverage)
     return found
 
@@ -74,7 +74,7 @@ def test_a_two_sided_sheet_is_measured_on_the_side_that_faces_the_laser() -> Non
             area_m2=0.16,
         )
         found = measure_coverage(
-            plate(two_sided=True), cloud, scan, VIEWS, REACHED, selected(0), params=CoverageParams()
+            plate(two_sided=True), nothing_around(), cloud, scan, VIEWS, REACHED, selected(0), params=CoverageParams()
         )
         assert bool(found.measured[0]) == is_measured
 
@@ -88,7 +88,14 @@ def test_an_empty_scan_is_explained_too() -> None:
 def test_artefacts_that_do_not_belong_together_are_refused() -> None:
     with pytest.raises(InvalidInputError, match="1 viewpoints but reachability knows 3"):
         measure_coverage(
-            plate(), CLOUD, scanned(np.zeros((1, 3))), views_down((0, 0)), REACHED, selected(0), params=CoverageParams()
+            plate(),
+            nothing_around(),
+            CLOUD,
+            scanned(np.zeros((1, 3))),
+            views_down((0, 0)),
+            REACHED,
+            selected(0),
+            params=CoverageParams(),
         )
 
 

@@ -14,6 +14,7 @@ from schemas.motion import ScanCloud, Trajectory
 from schemas.poses import Pose
 from schemas.scanner import ScannerParams
 from schemas.sources import CellModel
+from tasks.place_surroundings import SurroundingsParams, place_surroundings
 from tasks.simulate_scan import ScanParams, simulate_scan
 from tests.tasks.plate_scene import DOWN, plate
 
@@ -80,7 +81,9 @@ def scan(trajectory: Trajectory, *bodies: Body, noise: bool = False, seed: int =
         noise=noise,
         seed=seed,
     )
-    cloud = simulate_scan(cell_model(*bodies), plate(), trajectory, params=params)
+    model = cell_model(*bodies)
+    around = place_surroundings(model, params=SurroundingsParams(T_world_part=Pose.of(T_WORLD_PART)))
+    cloud = simulate_scan(model, plate(), around, trajectory, params=params)
     assert isinstance(cloud, ScanCloud)
     return cloud
 

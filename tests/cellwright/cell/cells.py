@@ -17,9 +17,9 @@ def at(x: float, y: float, z: float) -> FloatArray:
     return pose(np.array([x, y, z]), np.eye(3))
 
 
-def bumpy_part() -> Mesh:
+def bumpy_part(subdivisions: int = 4) -> Mesh:
     """A closed part that is not convex."""
-    ball = trimesh.creation.icosphere(subdivisions=4, radius=0.12)
+    ball = trimesh.creation.icosphere(subdivisions=subdivisions, radius=0.12)
     bumps = 1 + 0.15 * np.sin(20 * ball.vertices[:, :1])
     return Mesh(np.asarray(ball.vertices * bumps), np.asarray(ball.faces, np.int32))
 

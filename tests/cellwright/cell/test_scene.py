@@ -69,7 +69,7 @@ SHAPES: list[Shape] = [
     Cylinder(0.1, 0.3),
     Sphere(0.12),
     Capsule(0.08, 0.2),
-    bumpy_part(),
+    bumpy_part(2),
     Mesh(
         *(np.asarray(part) for part in (trimesh.creation.box((0.2, 0.2, 0.2)).vertices, trimesh.creation.box().faces))
     ),

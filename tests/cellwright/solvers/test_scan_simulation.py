@@ -5,7 +5,7 @@ import pytest
 import trimesh
 
 from cellwright.causes import Cause
-from cellwright.cell.bodies import WORLD, Body, Box, Mesh, Sphere
+from cellwright.cell.bodies import Body, Mesh
 from cellwright.cell.cell import Cell
 from cellwright.cell.occlusion import Occluder
 from cellwright.cell.robot import Robot
@@ -17,7 +17,6 @@ from cellwright.solvers.scan_simulation import (
     profile_times,
     scanner_poses,
     simulate_profiles,
-    surroundings,
 )
 from tests.cellwright.solvers.scenes import DOWN, SCANNER, box, judge, mesh_of, occluder_of, random_sweeps
 
@@ -170,15 +169,3 @@ def test_scanner_poses_chain_base_robot_and_mount_into_the_part() -> None:
     np.testing.assert_allclose(poses[1, :3, 2], [0.0, 1.0, 0.0], atol=1e-15)
     with pytest.raises(InvalidInputError, match="moves 3 joints but the robot has 2"):
         scanner_poses(two_joint_cell(), T_world_part, np.zeros((1, 3)))
-
-
-def test_the_surroundings_are_what_stands_in_the_world_seen_from_the_part() -> None:
-    T_world_part = np.eye(4)
-    T_world_part[:3, 3] = [0.0, 0.0, 0.3]
-    sheet = Mesh(np.zeros((3, 3)), np.array([[0, 1, 2]], np.int32))
-    cell = two_joint_cell(
-        (Body("table", Box((1.0, 1.0, 0.2)), WORLD, np.eye(4)), Body("link", Sphere(0.1), 1, np.eye(4)))
-    ).with_part(sheet, T_world_part)
-    (table,) = surroundings(cell, T_world_part)
-    np.testing.assert_allclose(table.vertices[:, 2].max(), 0.1 - 0.3)
-    np.testing.assert_allclose(table.vertices[:, 2].min(), -0.1 - 0.3)

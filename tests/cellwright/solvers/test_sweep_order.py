@@ -7,6 +7,7 @@ import pytest
 
 from cellwright.errors import InfeasibleError
 from cellwright.solvers.order_bound import one_tree_bound
+from cellwright.solvers.order_kernels import best_options, cheapest_through, held_karp
 from cellwright.solvers.sweep_order import ConnectionCosts, SweepOptions, order_best, order_greedily
 
 
@@ -153,3 +154,33 @@ def test_a_stopped_search_says_what_it_has_proven():
     stopped = order_best(options, costs, greedy, n_evaluations=0)
     full = order_best(options, costs_of(options, true), greedy, n_evaluations=10_000)
     assert stopped.lower_bound <= full.duration <= stopped.duration
+
+
+@pytest.mark.parametrize("returns", [False, True])
+def test_the_cheapest_order_through_each_option_is_that_of_brute_force(returns):
+    options, true = problem(5, 4, 2, returns=returns)
+    value = all_known(options, true).value
+    totals, orders, states = held_karp(value, options.duration, options.first, np.inf)
+    through = cheapest_through(states, value, options.duration, options.first)
+    assert through.min() == pytest.approx(totals.min())
+    cheapest = np.full(options.start, np.inf)
+    for sequence in itertools.permutations(range(4)):
+        for chosen in itertools.product(*(range(options.first[i], options.first[i + 1]) for i in sequence)):
+            total = duration_of(options, true, chosen)
+            cheapest[list(chosen)] = np.minimum(cheapest[list(chosen)], total)
+    assert through == pytest.approx(cheapest)
+    for option, order in enumerate(orders):
+        assert order[-1] == option
+        assert duration_of(options, true, order) == pytest.approx(totals[option])
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_options_of_one_sequence_are_chosen_as_by_brute_force(seed):
+    options, true = problem(seed, 4, 2, share_missing=0.2)
+    value = all_known(options, true).value
+    sequence = np.random.default_rng(seed).permutation(4).astype(np.int32)
+    total, chosen = best_options(sequence, value, options.duration, options.first)
+    sets = (range(options.first[i], options.first[i + 1]) for i in sequence)
+    cheapest = min(duration_of(options, true, picked) for picked in itertools.product(*sets))
+    assert total == pytest.approx(cheapest)
+    assert total == pytest.approx(duration_of(options, true, chosen))

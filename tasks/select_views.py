@@ -1,0 +1,166 @@
+"""Select few sweeps that together measure the part: set cover (Kaiser 2021, section 4.3).
+
+The default looks for a smallest selection and proves it where a fixed amount of work suffices; where it does not, the
+gap to a proven lower bound stands beside the selection. The paper's greedy selection is always computed for
+comparison. Among equally small selections sweeps of low uncertainty are preferred.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Literal
+
+from pydantic import Field
+
+from schemas.params import Params
+from schemas.stage import stage
+from schemas.views import Measurability, ViewSelection
+
+if TYPE_CHECKING:
+    from cellwright.arrays import FloatArray, IntArray
+    from cellwright.solvers.set_cover import Cover, CoverMatrix
+
+
+class SetCoverParams(Params):
+    """Settings of the selection."""
+
+    method: Literal["best", "greedy", "exact"] = Field(
+        default="best",
+        description="best: own search and branch and bound, no clock; greedy: as in the paper; exact: HiGHS.",
+    )
+    min_coverage: float = Field(
+        default=1.0, gt=0, le=1, description="Share of the coverable samples that the selection has to measure."
+    )
+    node_limit: int | None = Field(
+        default=None, ge=1, description="Most nodes of the branch and bound; unlimited if left out."
+    )
+    time_limit_s: float = Field(default=20.0, gt=0, description="Time that HiGHS may take; only for `exact`.")
+    max_work: float = Field(
+        default=4e9, gt=0, description="Matrix entries that `best` may visit, about one nanosecond each."
+    )
+    seed: int = Field(default=0, ge=0, description="Seed of the local search.")
+
+
+@stage(version=1)
+def select_views(measurability: Measurability, *, params: SetCoverParams) -> ViewSelection:
+    """Select views until ``min_coverage`` of the coverable samples is measured.
+
+    A sample that no view measures is a finding and keeps its cause; it does not count for the coverage.
+
+    Raises:
+        InvalidInputError: If an entry names a view or a sample that does not exist, or an uncertainty is not finite.
+        InfeasibleError: If no view measures any sample.
+    """
+    import numpy as np
+
+    from cellwright.causes import Cause
+    from cellwright.solvers.set_cover import cover_greedily, exchange_columns
+
+    matrix, uncertainty = _matrix(measurability)
+    tie = np.full(matrix.n_columns, np.inf)  # a view that measures nothing is never taken
+    used = matrix.column_sizes > 0
+    tie[used] = np.maximum.reduceat(uncertainty, matrix.column_starts[:-1][used])
+    greedy = cover_greedily(matrix, tie=tie, min_coverage=params.min_coverage)
+    found = greedy if params.method == "greedy" else _small_cover(matrix, tie, params)
+    bound = _stronger_bound(matrix, greedy, params) if params.method == "greedy" else found.lower_bound
+    views = found.columns if params.method == "greedy" else exchange_columns(matrix, found.columns, uncertainty)
+    times = matrix.times_covered(views)
+    cause = measurability.cause.copy()
+    cause[(times == 0) & (matrix.row_sizes > 0)] = Cause.NOT_SELECTED
+    cause[times > 0] = Cause.NONE
+    least = matrix.round_up(bound)
+    return ViewSelection(
+        view=views.astype(np.int32),
+        n_samples=matrix.column_sizes[views].astype(np.int32),
+        n_only=np.array([(times[matrix.rows_of(int(view))] == 1).sum() for view in views], np.int32),
+        max_uncertainty_m=_worst_assigned(matrix, views, uncertainty),
+        cause=cause,
+        greedy_view=greedy.order.astype(np.int32),
+        method=found.method,
+        lower_bound=bound,
+        gap=max(0.0, (len(views) - least) / len(views)),
+        proven=len(views) <= least,
+        stopped_by=found.stopped_by,
+    )
+
+
+def _small_cover(matrix: CoverMatrix, tie: FloatArray, params: SetCoverParams) -> Cover:
+    from cellwright.solvers.set_cover import cover_best, cover_exactly
+
+    if params.method == "exact":
+        return cover_exactly(
+            matrix,
+            tie=tie,
+            min_coverage=params.min_coverage,
+            time_limit_s=params.time_limit_s,
+            node_limit=params.node_limit,
+            seed=params.seed,
+        )
+    return cover_best(
+        matrix,
+        tie=tie,
+        min_coverage=params.min_coverage,
+        max_work=params.max_work,
+        node_limit=params.node_limit,
+        seed=params.seed,
+    )
+
+
+def _stronger_bound(matrix: CoverMatrix, greedy: Cover, params: SetCoverParams) -> float:
+    """Return the better of the guarantee and the Lagrangian bound."""
+    from cellwright.solvers.set_cover import lower_bound, rows_needed
+
+    priced = lower_bound(matrix, upper_bound=greedy.cost, n_needed=rows_needed(matrix, params.min_coverage))
+    return max(greedy.lower_bound, priced.value)
+
+
+def _matrix(measurability: Measurability) -> tuple[CoverMatrix, FloatArray]:
+    """Return the samples x views matrix and the uncertainty of each of its entries, column by column."""
+    import numpy as np
+
+    from cellwright.causes import Cause
+    from cellwright.errors import InfeasibleError, InvalidInputError, listed
+    from cellwright.solvers.set_cover import cover_matrix
+
+    n_views, n_samples = len(measurability.start_m), len(measurability.cause)
+    view, sample = measurability.view.astype(np.int64), measurability.sample.astype(np.int64)
+    for name, index, count in (("view", view, n_views), ("sample", sample, n_samples)):
+        if len(index) and (index.min() < 0 or index.max() >= count):
+            raise InvalidInputError(
+                f"measurability names {name} {index.min() if index.min() < 0 else index.max()} but has {count} of them: "
+                "run measure_samples again"
+            )
+    if not np.isfinite(measurability.uncertainty_m).all():
+        raise InvalidInputError("measurability holds uncertainties that are not finite: run measure_samples again")
+    if len(view) == 0:
+        values, counts = np.unique(measurability.cause, return_counts=True)
+        causes = sorted(zip(counts.tolist(), values.tolist()), reverse=True)
+        raise InfeasibleError(
+            f"none of {n_views} views measures any of {n_samples} samples "
+            f"({listed(f'{count} {Cause(value).label}' for count, value in causes)}): add tilts or standoffs, permit a "
+            "larger uncertainty, or move the part into the robot's reach"
+        )
+    key = view * n_samples + sample
+    order = np.lexsort((measurability.uncertainty_m, key))
+    first = order[np.concatenate([[True], np.diff(key[order]) > 0])]  # of entries given twice the least uncertain
+    starts = np.searchsorted(view[first], np.arange(n_views + 1))
+    return cover_matrix((starts, sample[first], n_samples)), measurability.uncertainty_m[first].astype(np.float64)
+
+
+def _worst_assigned(matrix: CoverMatrix, views: IntArray, uncertainty: FloatArray) -> FloatArray:
+    """Return each view's worst uncertainty over the samples it measures best; ties go to the lower view, (views,).
+
+    Not a number for a view that measures no sample best.
+    """
+    import numpy as np
+
+    smallest = np.full(matrix.n_rows, np.inf)
+    assigned = np.full(matrix.n_rows, -1)
+    for at, view in enumerate(views):
+        rows = matrix.rows_of(int(view))
+        value = uncertainty[matrix.column_starts[view] : matrix.column_starts[view + 1]]
+        better = value < smallest[rows]
+        assigned[rows[better]] = at
+        smallest[rows[better]] = value[better]
+    worst = np.full(len(views), -np.inf)
+    np.maximum.at(worst, assigned[assigned >= 0], smallest[assigned >= 0])
+    return np.where(np.isfinite(worst), worst, np.nan)
