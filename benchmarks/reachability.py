@@ -84,15 +84,13 @@ def forward(T_parent_joint: Any, axis: Any, q: Any, links: Any) -> float:
 
 
 @numba.njit(nogil=True)
-def bounding(
-    node: Any, carrier: Any, real: Any, whole: Any, lower: Any, upper: Any, pair: Any, links: Any, n: int
-) -> float:
+def bounding(node: Any, carrier: Any, real: Any, whole: Any, pair: Any, links: Any, n: int) -> float:
     total = 0.0
     centres = np.empty((len(carrier), 3))
     for _ in range(n):
         centres_into(node, carrier, links, centres)
         for p in range(len(pair)):
-            total += bounding_gap(node, real, whole, lower, upper, pair, p, centres)
+            total += bounding_gap(node, real, whole, pair, p, centres)
     return total
 
 
@@ -116,7 +114,7 @@ def bare_kernels(cell: Any, mesh: Any, views: Any, seen: Any, params: SweepParam
         built, link_overshoot=0.01, tool_overshoot=0.01, field_spacing=0.008, field_padding=0.1
     )
     d = built_filter.distance
-    arrays = (built_filter.node, built_filter.carrier, d.real, d.whole, d.lower, d.upper, built_filter.pair, links)
+    arrays = (built_filter.node, built_filter.carrier, d.real, d.whole, built_filter.pair, links)
     bounding(*arrays, 2)
     t_bounding = timed(lambda: bounding(*arrays, 100_000))[1] / 1e5 * n_solved
     print(f"  poses {len(T)}, solutions {n_solved}, pairs of bodies {len(built_filter.pair)}")

@@ -99,6 +99,7 @@ main() {
         .venv/bin/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
     }
     .venv/bin/uv pip install --quiet --python .venv/bin/python --no-deps --no-build-isolation --editable .
+    .venv/bin/python -m flows.compile_kernels
     fingerprint "$python" >"$stamp" # anew: apt-get may have brought a newer patch release of Python
 }
 

@@ -35,7 +35,7 @@ class SetCoverParams(Params):
     )
     time_limit_s: float = Field(default=20.0, gt=0, description="Time that HiGHS may take; only for `exact`.")
     max_work: float = Field(
-        default=4e9, gt=0, description="Matrix entries that `best` may visit, about one nanosecond each."
+        default=6e9, gt=0, description="Matrix entries that `best` may visit, about one nanosecond each."
     )
     seed: int = Field(default=0, ge=0, description="Seed of the local search.")
 
@@ -124,10 +124,10 @@ def _matrix(measurability: Measurability) -> tuple[CoverMatrix, FloatArray]:
     n_views, n_samples = len(measurability.start_m), len(measurability.cause)
     view, sample = measurability.view.astype(np.int64), measurability.sample.astype(np.int64)
     for name, index, count in (("view", view, n_views), ("sample", sample, n_samples)):
-        if len(index) and (index.min() < 0 or index.max() >= count):
+        wrong = index[(index < 0) | (index >= count)]
+        if len(wrong):
             raise InvalidInputError(
-                f"measurability names {name} {index.min() if index.min() < 0 else index.max()} but has {count} of them: "
-                "run measure_samples again"
+                f"measurability names {name} {wrong[0]} but has {count} of them: run measure_samples again"
             )
     if not np.isfinite(measurability.uncertainty_m).all():
         raise InvalidInputError("measurability holds uncertainties that are not finite: run measure_samples again")

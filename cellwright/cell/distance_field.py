@@ -198,37 +198,35 @@ def primitive_distance(kind: int, a: float, b: float, c: float, x: float, y: flo
 
 
 @numba.njit(cache=True, nogil=True)
-def _field_bounds(
-    real: FloatArray,
-    whole: IntArray,
-    lower: Float32Array,
-    upper: Float32Array,
-    body: int,
-    x: float,
-    y: float,
-    z: float,
-) -> tuple[float, float]:
-    least, most = -1e300, 1e300
-    if whole[body, 0] == FIELD:
-        spacing = real[body, 18]
-        u, v, w = (x - real[body, 15]) / spacing, (y - real[body, 16]) / spacing, (z - real[body, 17]) / spacing
-        ny, nz = whole[body, 2], whole[body, 3]
-        i = int(min(max(math.floor(u), 0), whole[body, 1] - 2))
-        j = int(min(max(math.floor(v), 0), ny - 2))
-        k = int(min(max(math.floor(w), 0), nz - 2))
-        for corner in range(8):
-            a, b, c = corner >> 2, (corner >> 1) & 1, corner & 1
-            way = spacing * math.sqrt((u - i - a) ** 2 + (v - j - b) ** 2 + (w - k - c) ** 2)
-            node = whole[body, 4] + ((i + a) * ny + j + b) * nz + k + c
-            least = max(least, lower[node] - way)
-            most = min(most, upper[node] + way)
-    # far outside, the bounding box of the mesh says more than the border of the grid
+def _in_body(real: FloatArray, body: int, x: float, y: float, z: float) -> tuple[float, float, float]:
+    # element by element: slices of arrays would be counted and uncounted, which costs more than the arithmetic
+    return (
+        real[body, 3] * x + real[body, 4] * y + real[body, 5] * z + real[body, 6],
+        real[body, 7] * x + real[body, 8] * y + real[body, 9] * z + real[body, 10],
+        real[body, 11] * x + real[body, 12] * y + real[body, 13] * z + real[body, 14],
+    )
+
+
+@numba.njit(cache=True, nogil=True)
+def _box_distance(real: FloatArray, body: int, x: float, y: float, z: float) -> float:
+    """Return the distance in m of a point of the body's frame to the bounding box of a mesh, 0 inside."""
     out_x = max(real[body, 19] - x, x - real[body, 22], 0.0)
     out_y = max(real[body, 20] - y, y - real[body, 23], 0.0)
     out_z = max(real[body, 21] - z, z - real[body, 24], 0.0)
-    if out_x + out_y + out_z > 0.0:
-        least = max(least, math.sqrt(out_x * out_x + out_y * out_y + out_z * out_z) - _ROUNDING)
-    return least, most
+    return math.sqrt(out_x * out_x + out_y * out_y + out_z * out_z)
+
+
+@numba.njit(cache=True, nogil=True)
+def outer_distance(real: FloatArray, whole: IntArray, body: int, x: float, y: float, z: float) -> float:
+    """Return a quick lower bound in m of the signed distance to a body: exact, or that to a mesh's bounding box.
+
+    Inside the box it is not known. The point is in the common frame; arrays of a `DistanceTable`.
+    """
+    x, y, z = _in_body(real, body, x, y, z)
+    if whole[body, 0] >= FIELD:
+        least = _box_distance(real, body, x, y, z)
+        return least - _ROUNDING if least > 0.0 else -1e300
+    return float(primitive_distance(whole[body, 0], real[body, 0], real[body, 1], real[body, 2], x, y, z))
 
 
 @numba.njit(cache=True, nogil=True)
@@ -246,15 +244,27 @@ def distance_bounds(
 
     The first four arguments are those of a `DistanceTable`.
     """
-    # element by element: slices of arrays would be counted and uncounted, which costs more than the arithmetic
-    bx = real[body, 3] * x + real[body, 4] * y + real[body, 5] * z + real[body, 6]
-    by = real[body, 7] * x + real[body, 8] * y + real[body, 9] * z + real[body, 10]
-    bz = real[body, 11] * x + real[body, 12] * y + real[body, 13] * z + real[body, 14]
-    if whole[body, 0] >= FIELD:
-        least, most = _field_bounds(real, whole, lower, upper, body, bx, by, bz)
-        return least, most
-    exact = primitive_distance(whole[body, 0], real[body, 0], real[body, 1], real[body, 2], bx, by, bz)
-    return exact, exact
+    x, y, z = _in_body(real, body, x, y, z)
+    if whole[body, 0] < FIELD:
+        exact = primitive_distance(whole[body, 0], real[body, 0], real[body, 1], real[body, 2], x, y, z)
+        return exact, exact
+    # far outside, the bounding box of the mesh says more than the border of the grid
+    outside = _box_distance(real, body, x, y, z)
+    least, most = outside - _ROUNDING if outside > 0.0 else -1e300, 1e300
+    if whole[body, 0] == FIELD:
+        spacing = real[body, 18]
+        u, v, w = (x - real[body, 15]) / spacing, (y - real[body, 16]) / spacing, (z - real[body, 17]) / spacing
+        ny, nz = whole[body, 2], whole[body, 3]
+        i = int(min(max(math.floor(u), 0), whole[body, 1] - 2))
+        j = int(min(max(math.floor(v), 0), ny - 2))
+        k = int(min(max(math.floor(w), 0), nz - 2))
+        for corner in range(8):
+            a, b, c = corner >> 2, (corner >> 1) & 1, corner & 1
+            way = spacing * math.sqrt((u - i - a) ** 2 + (v - j - b) ** 2 + (w - k - c) ** 2)
+            node = whole[body, 4] + ((i + a) * ny + j + b) * nz + k + c
+            least = max(least, lower[node] - way)
+            most = min(most, upper[node] + way)
+    return least, most
 
 
 @numba.njit(cache=True, nogil=True)

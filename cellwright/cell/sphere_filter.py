@@ -26,7 +26,7 @@ from cellwright.arrays import AnyArray, Float32Array, FloatArray, IntArray
 from cellwright.cell.bodies import BASE, WORLD, Body
 from cellwright.cell.cell import Cell
 from cellwright.cell.convex_gap import Hull, convex_gap, hull_of, hull_table
-from cellwright.cell.distance_field import DistanceTable, distance_bounds, distance_table
+from cellwright.cell.distance_field import DistanceTable, distance_bounds, distance_table, outer_distance
 from cellwright.cell.link_spheres import cover_shape
 from cellwright.cell.transforms import inverse
 
@@ -263,14 +263,7 @@ def centres_into(node: FloatArray, carrier: IntArray, links: FloatArray, out: Fl
 
 @numba.njit(cache=True, nogil=True)
 def bounding_gap(
-    node: FloatArray,
-    real: FloatArray,
-    whole: IntArray,
-    lower: Float32Array,
-    upper: Float32Array,
-    pair: IntArray,
-    p: int,
-    centres: FloatArray,
+    node: FloatArray, real: FloatArray, whole: IntArray, pair: IntArray, p: int, centres: FloatArray
 ) -> float:
     """Return a lower bound of the distance of a pair in m from the bounding balls at ``centres`` (moving, 3)."""
     m, other = pair[p, 0], pair[p, 3]
@@ -278,8 +271,7 @@ def bounding_gap(
     if other >= 0:
         x, y, z = x - centres[other, 0], y - centres[other, 1], z - centres[other, 2]
         return float(math.sqrt(x * x + y * y + z * z) - node[m, 3] - node[other, 3])
-    low, _ = distance_bounds(real, whole, lower, upper, pair[p, 1], x, y, z)
-    return float(low - node[m, 3])
+    return float(outer_distance(real, whole, pair[p, 1], x, y, z) - node[m, 3])
 
 
 @numba.njit(cache=True, nogil=True)

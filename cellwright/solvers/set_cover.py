@@ -40,8 +40,8 @@ __all__ = [
     "smallest_uncertainty",
 ]
 
-DEFAULT_WORK = 4e9
-"""Matrix entries that `cover_best` may visit: a few seconds on two cores."""
+DEFAULT_WORK = 6e9
+"""Matrix entries that `cover_best` may visit: about four seconds on two cores."""
 
 
 def cover_best(

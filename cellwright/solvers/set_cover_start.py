@@ -156,6 +156,18 @@ def scaled_matrix(matrix: object, costs: object) -> tuple[CoverMatrix, float]:
     return cover_matrix(given, given.costs / scale), scale
 
 
+def _rounded(matrix: CoverMatrix, share: FloatArray, n_needed: int) -> IntArray:
+    """Return the cover that the linear program suggests: its larger half, completed greedily from its other columns."""
+    taken = np.flatnonzero(share > 0.5 - TOLERANCE)
+    uncovered = matrix.times_covered(taken) == 0
+    n_missing = n_needed - int((~uncovered).sum())
+    if n_missing <= 0:
+        return taken
+    names = np.flatnonzero(share > 0.0)
+    rest = matrix.select(uncovered, share > 0.0)
+    return np.union1d(taken, names[greedy_order(rest, -share[names], n_missing)])
+
+
 def _cheaper(matrix: CoverMatrix, first: IntArray, second: IntArray) -> IntArray:
     return first if matrix.costs[first].sum() <= matrix.costs[second].sum() else second
 

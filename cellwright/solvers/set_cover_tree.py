@@ -31,6 +31,9 @@ _BATCH = 4
 _LEAF_COLUMNS = 300
 """Nodes of no more columns go to the depth-first search."""
 
+_PRICE_FLOOR = 1e-3
+"""Added to prices, so that the split decides between rows that cost nothing."""
+
 
 @dataclass(frozen=True, eq=False)
 class TreeOutcome:
@@ -166,7 +169,7 @@ def _finish(node: _Node, budget: float, max_work: float, result: _Result) -> Non
 def _branching_rows(matrix: CoverMatrix, share: FloatArray, duals: FloatArray) -> tuple[int, int] | None:
     """Return two rows that the linear program covers together about half; ``None`` if none is split.
 
-    Among equally split pairs those of high price come first: there the bound moves most.
+    Pairs of two highly priced rows come first: there the bound moves most.
     """
     # whole multiples of 2^-20: sums are exact
     weight = np.rint(share * 2.0**20).astype(np.int64)
@@ -174,8 +177,7 @@ def _branching_rows(matrix: CoverMatrix, share: FloatArray, duals: FloatArray) -
     split = np.minimum(together, 1.0 - together)
     if split.max() < 1e-3:
         return None
-    price = duals[:, None] + duals[None, :]
-    score = np.where(split > 0.0, split, 0.0) * (1e-3 + price)
+    score = np.maximum(split, 0.0) * (_PRICE_FLOOR + np.minimum(duals[:, None], duals[None, :]))
     first, second = np.unravel_index(int(np.argmax(score)), score.shape)
     return int(first), int(second)
 

@@ -61,7 +61,7 @@ def tool_states(
         for p in range(n_pairs):
             if carrier[pair[p, 0]] != last or pair[p, 2] != 0 or reserve[p] >= wanted:
                 continue
-            reserve[p] = bounding_gap(node, real, whole, lower, upper, pair, p, centres)
+            reserve[p] = bounding_gap(node, real, whole, pair, p, centres)
             if reserve[p] >= wanted:
                 continue
             found, reserve[p], _ = compare_bodies(
@@ -170,7 +170,7 @@ def arm_state(
         link, carried = pair[p, 2], carrier[pair[p, 0]]
         if reserve[p] >= wanted or (link == 0 and carried == last):
             continue
-        reserve[p] = bounding_gap(node, real, whole, lower, upper, pair, p, centres)
+        reserve[p] = bounding_gap(node, real, whole, pair, p, centres)
         if reserve[p] >= wanted:
             continue
         relative_into(links, link, carried, relative)
