@@ -142,7 +142,7 @@ def _add_validate(commands: Any) -> None:
         "validate",
         help="check a cell file and show what it says",
         description="Check a cell file without planning anything, and show what stands in the cell.",
-        epilog="example:\n  cellwright validate cell.yaml --set part.unit=inch\n",
+        epilog="example:\n  cellwright validate cell.yaml --set part.unit=in\n",
     )
     command.add_argument("cell", metavar="CELL.yaml", help="the cell file, or the name of a built-in example")
     _add_set(command)

@@ -77,6 +77,9 @@ WATCHER: ContextVar[Watcher] = ContextVar("watcher", default=_UNWATCHED)
 """The watcher of the run that the current thread works for. It stays in this process and never travels."""
 
 
+REFRESHED: ContextVar[set[str] | None] = ContextVar("refreshed", default=None)
+"""Keys that were made anew already, where several runs refresh the same stages: each is refreshed once."""
+
 INTERRUPTED = threading.Event()
 """Set when the person wants the command to stop: a stage in a thread ends at its next report of progress."""
 
@@ -203,7 +206,10 @@ def run_in_lake(
         checked, given = validated_params(stage, params), checked_inputs(stage, inputs)
         digests = {each: _digests(refs) for each, refs in given.items()}
         recipe = Recipe(stage.name, stage.version, checked.canonical(), digests)
-        ref = _found_or_made(lake, recipe.key, make, refresh)
+        refreshed = REFRESHED.get()
+        ref = _found_or_made(lake, recipe.key, make, refresh and recipe.key not in (refreshed or ()))
+        if refresh and refreshed is not None:
+            refreshed.add(recipe.key)
     except BaseException:
         watcher.failed(name)
         raise

@@ -12,11 +12,14 @@ from pathlib import Path
 from typing import Any
 
 import tasks
+from cellwright.cell.bodies import WORLD
 from cellwright.cell.part import resting_pose, top_height
+from cellwright.errors import InvalidInputError, listed
 from flows.execution import Unwatched, Watcher, open_lake
 from flows.inspection_export import export
 from flows.inspection_result import InspectionResult
 from flows.requests import InspectionRequest, request_of
+from flows.result_folder import prepare_folder
 from flows.runner import Step, Steps
 from schemas.cell_objects import build_cell
 from schemas.poses import Pose
@@ -62,11 +65,14 @@ def run(
         direct: Run without Prefect, one stage after the other.
 
     Raises:
-        InvalidInputError: If cell file, part or robot are malformed.
+        InvalidInputError: If cell file, part or robot are malformed, or the folder cannot be written; before
+            anything is computed where that can be known.
         InfeasibleError: If there is no plan, or the plan fails its verification.
         LakeError: If the lake fails.
     """
     request = request_of(cell_file, overrides)
+    if out is not None:
+        prepare_folder(out)
     token = _WATCHER.set(watcher)
     try:
         if direct:
@@ -218,16 +224,21 @@ def close_gaps(
     measurable: Step,
     selection: Step,
 ) -> Step:
-    """Add what the selection misses between the samples to what must be covered, and select again, for some rounds."""
+    """Add what the selection misses between the samples to what must be covered, and select again, for some rounds.
+
+    Equally small selections differ in what they miss between the samples, so that a later round may miss more than an
+    earlier one: the selection with the fewest gaps is returned, the earliest of several.
+    """
     if request.refinement_rounds == 0:
         return selection
     cloud = step(tasks.sample_surface, request.refinement_cloud, label="refinement", mesh=mesh)
     earlier: tuple[Step, ...] = ()
-    for number in range(1, request.refinement_rounds + 1):
+    best, fewest = selection, None
+    for number in range(1, request.refinement_rounds + 2):
         gaps = step(
             tasks.find_gaps,
             request.gaps,
-            label=f"round {number}",
+            label=f"round {number}" if number <= request.refinement_rounds else "last",
             mesh=mesh,
             surroundings=surroundings,
             cloud=cloud,
@@ -237,7 +248,9 @@ def close_gaps(
             earlier=earlier,
         )
         found: Any = lake.load(gaps.ref())
-        if len(found.point) == 0:
+        if fewest is None or len(found.point) < fewest:
+            best, fewest = selection, len(found.point)
+        if fewest == 0 or number > request.refinement_rounds:
             break
         measurable = step(
             tasks.extend_measurability,
@@ -253,16 +266,25 @@ def close_gaps(
         )
         selection = step(tasks.select_views, request.cover, label=f"round {number}", measurability=measurable)
         earlier = (*earlier, gaps)
-    return selection
+    return best
 
 
 def part_pose(request: InspectionRequest, lake: Lake, mesh: Step, cell: Step) -> Pose:
-    """Return where the part stands: as written, or resting on the body that the cell file names."""
+    """Return where the part stands: as written, or resting on the body that the cell file names.
+
+    Raises:
+        InvalidInputError: If no such body stands in the world.
+    """
     if request.rests_on is None:
         return request.part_pose
     loaded: Any = lake.load(mesh.ref())
     model: Any = lake.load(cell.ref())
-    support = next(body for body in build_cell(model).bodies if body.name == request.rests_on)
+    standing = {body.name: body for body in build_cell(model).bodies if body.parent == WORLD}
+    if request.rests_on not in standing:
+        raise InvalidInputError(
+            f"the part rests on {request.rests_on!r}, which does not stand in the cell: use one of {listed(standing)}"
+        )
+    support = standing[request.rests_on]
     stated = request.part_pose.matrix()
     top = top_height(support.shape, support.T_parent_body)
     return Pose.of(resting_pose(loaded.vertices_m, stated[:3, :3], (stated[0, 3], stated[1, 3]), top))

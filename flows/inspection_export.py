@@ -1,6 +1,6 @@
 """Write a plan's files into a folder for people: report, recording, trajectory, scan and figures.
 
-Files are replaced one by one, each by writing beside it and renaming. The report gets what belongs to this run: how
+The report gets what belongs to this run: how
 long each stage took, and what everything was made from.
 """
 
@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import html
 import json
-import os
 from pathlib import Path
 
 import fsspec
 
-from cellwright.errors import InvalidInputError
+from cellwright.errors import LakeError
 from flows.inspection_result import InspectionResult
+from flows.result_folder import write_files
 from schemas.references import Ref
 from storage.lake import Lake
 
@@ -26,6 +26,7 @@ def export(lake: Lake, result: InspectionResult, folder: Path) -> dict[str, Path
 
     Raises:
         InvalidInputError: If the folder cannot be written.
+        LakeError: If the lake has lost a file since the run.
     """
     page = result.report.page.decode().replace(_RUN_MARK, run_section(lake, result))
     contents = {
@@ -34,18 +35,16 @@ def export(lake: Lake, result: InspectionResult, folder: Path) -> dict[str, Path
         "trajectory": ("trajectory.parquet", _stored(lake, result.refs["trajectory"], "states.parquet")),
         "segments": ("segments.parquet", _stored(lake, result.refs["trajectory"], "segments.parquet")),
         "scan": ("scan.parquet", _stored(lake, result.refs["scan"], "points.parquet")),
-        "summary": ("summary.json", json.dumps(result.as_json(), indent=2, sort_keys=True).encode()),
+        "summary": ("summary.json", _summary(result)),
         **{f"figure: {name}": (f"{name}.png", picture) for name, picture in result.pictures().items()},
     }
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        for name, content in contents.values():
-            _write(folder / name, content)
-    except OSError as error:
-        raise InvalidInputError(
-            f"cannot write into {folder}: {error.strerror or error}: choose another --out"
-        ) from error
+    write_files(folder, dict(contents.values()))
     return {what: folder / name for what, (name, _) in contents.items()}
+
+
+def _summary(result: InspectionResult) -> bytes:
+    plain = {name: value for name, value in result.as_json().items() if name != "files"}  # they lie beside it
+    return json.dumps(plain, indent=2, sort_keys=True, allow_nan=False).encode() + b"\n"
 
 
 def run_section(lake: Lake, result: InspectionResult) -> str:
@@ -66,25 +65,23 @@ def run_section(lake: Lake, result: InspectionResult) -> str:
         )
         for ancestor in lake.lineage(result.refs["trajectory"])
     )
+    total = sum(result.stage_seconds.values())
     return (
-        "<h2>Stages</h2><p class='lead'>Seconds that each stage took when it was computed.</p><div class='card'><table>"
+        "<h2>Stages</h2><p class='lead'>Seconds that each stage took when it was computed, in this run or in an "
+        f"earlier one; {total:.1f} s together.</p><div class='card'><table>"
         "<tr><th>stage</th><th>seconds</th><th>in this run</th><th>version</th><th class='words'>artefact</th></tr>"
-        f"{rows}</table></div><h2>What the trajectory was made from</h2>"
-        f"<div class='card'><pre>{html.escape(lines)}</pre></div>"
+        f"{rows}</table></div><h2>What the trajectory was made from</h2><div class='card'><details><summary>"
+        "Every artefact behind it, back to the files; each stands below what was made from it"
+        f"</summary><pre>{html.escape(lines)}</pre></details></div>"
         f"<p class='lead'>Run {html.escape(result.run_id)}.</p>"
     )
 
 
 def _stored(lake: Lake, ref: Ref, name: str) -> bytes:
-    with fsspec.open(lake.paths(ref)[name], "rb") as stream:
-        content: bytes = stream.read()
-    return content
-
-
-def _write(path: Path, content: bytes) -> None:
-    beside = path.with_name(f".{path.name}.{os.getpid()}")
+    address = lake.paths(ref)[name]
     try:
-        beside.write_bytes(content)
-        beside.replace(path)
-    finally:
-        beside.unlink(missing_ok=True)
+        with fsspec.open(address, "rb") as stream:
+            content: bytes = stream.read()
+    except OSError as error:
+        raise LakeError(f"cannot read {address}: {error.strerror or error}: run again to make it anew") from error
+    return content

@@ -105,7 +105,7 @@ class InspectionResult:
             ("cycle time", f"{figures['duration_s']:.2f} s ({figures['scanning_s']:.2f} s scanning)"),
             *((f"order: {name}", f"{seconds:.2f} s") for name, seconds in figures["orders_s"].items()),
             ("scan points", f"{figures['scan_points']:,}"),
-            ("verified states", f"{figures['verified_states']:,} ({figures['verified_by']})"),
+            ("verified states", f"{figures['verified_states']:,} by {figures['verified_by']}"),
         ]
 
     def as_markdown(self) -> str:

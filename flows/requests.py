@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from cellwright.cell.part import METRES_PER_UNIT
 from cellwright.cell.urdf_geometry import mesh_references, resolve_mesh
-from cellwright.errors import InvalidInputError
+from cellwright.errors import InvalidInputError, listed
 from schemas.body_params import BodyParams, BoxBody, CapsuleBody, CylinderBody, MeshBody, SphereBody
 from schemas.cell_file import CellFile, load_cell_file
 from schemas.cell_file_fields import BodySection
@@ -77,6 +77,16 @@ def request_of(path: Path, overrides: Sequence[str] = ()) -> InspectionRequest:
         InvalidInputError: If the cell file, or a file that it names, is malformed or missing.
     """
     file = load_cell_file(path, overrides)
+    try:
+        return _request(file)
+    except ValidationError as error:  # a stage is stricter than the cell file
+        faults = [
+            f"{'.'.join(map(str, fault['loc']))}: {fault['msg']} (got {fault['input']!r})" for fault in error.errors()
+        ]
+        raise InvalidInputError(f"{path}: {error.title} does not take {listed(faults)}: change the value") from error
+
+
+def _request(file: CellFile) -> InspectionRequest:
     planner = file.planner
     sensing = SensingParams(scanner=file.scanner.params(), max_uncertainty_m=planner.measurability.max_uncertainty_m)
     shared = sensing.model_dump()
@@ -122,6 +132,7 @@ def request_of(path: Path, overrides: Sequence[str] = ()) -> InspectionRequest:
             min_coverage=planner.selection.min_coverage,
             node_limit=planner.selection.node_limit,
             time_limit_s=planner.selection.time_limit_s,
+            seed=planner.seed,
         ),
         gaps=GapParams(**shared),
         extension=ExtensionParams(**shared),

@@ -6,14 +6,17 @@ computed the stage, whenever that was. A run without a solution is a row with it
 
 from __future__ import annotations
 
+import re
+import time
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cellwright.errors import InfeasibleError, InvalidInputError
+from cellwright.errors import InfeasibleError, SolverError
 from flows.examples import find_cell_file
-from flows.execution import Watcher
+from flows.execution import REFRESHED, Watcher
+from flows.result_folder import prepare_folder, write_files
 from schemas.study_file import GridPoint, StudyFile, grid, load_study_file
 
 if TYPE_CHECKING:
@@ -40,7 +43,7 @@ class StudyResult:
         return {"study": self.study.name, "rows": self.rows, "files": files}
 
     def show(self, console: Console) -> None:
-        """Print the table's main columns and the paths."""
+        """Print the table's main columns, what had no solution, and the paths."""
         from rich.table import Table
 
         table = Table(title=self.study.name, title_justify="left")
@@ -51,7 +54,7 @@ class StudyResult:
         for row in self.rows:
             names = [row[axis] for axis in self.study.axes]
             if row["error"]:
-                table.add_row(*names, row["error"], *[""] * 5)
+                table.add_row(*names, "no plan", *["–"] * 5)
                 continue
             table.add_row(
                 *names,
@@ -63,6 +66,10 @@ class StudyResult:
                 f"{row['planning_s']:.1f} s",
             )
         console.print(table)
+        for row in self.rows:
+            if row["error"]:
+                point = ", ".join(row[axis] for axis in self.study.axes)
+                console.print(f"No plan for {point}: {row['error']}", soft_wrap=True)
         for name, path in self.files.items():
             console.print(f"{name}: {path}", soft_wrap=True)
 
@@ -72,8 +79,11 @@ def run(
 ) -> StudyResult:
     """Run every point of a study's grid and write table and figures into ``out`` (default: a folder named after it).
 
+    A stage in ``refresh`` is computed anew at every point, but only once where several points share its result.
+
     Raises:
-        InvalidInputError: If the study file or one of its settings is malformed; nothing runs then.
+        InvalidInputError: If the study file or one of its settings is malformed, or the folder cannot be written;
+            nothing runs then.
         LakeError: If the lake fails.
     """
     from schemas.cell_file import load_cell_file
@@ -84,11 +94,18 @@ def run(
     for point in points:
         load_cell_file(cell, point.overrides)
     folder = out or Path(study_path.stem)
-    rows = [
-        # a stage is refreshed once, not once a run
-        _row(cell, point, lake, refresh if number == 0 else frozenset(), watcher, direct)
-        for number, point in enumerate(points)
-    ]
+    prepare_folder(folder)
+    token = REFRESHED.set(set())  # what several runs share is refreshed once
+    try:
+        rows = []
+        for number, point in enumerate(points, 1):
+            name = f"run {number} of {len(points)} ({', '.join(point.point.values())})"
+            watcher.started(name)
+            begun = time.monotonic()
+            rows.append(_row(cell, point, lake, refresh, watcher, direct))
+            watcher.finished(name, cached=False, seconds=time.monotonic() - begun)
+    finally:
+        REFRESHED.reset(token)
     return StudyResult(study, rows, _write(study, rows, folder))
 
 
@@ -107,7 +124,7 @@ def _row(
         result = inspection.run(
             cell, overrides=point.overrides, lake=lake, refresh=refresh, out=None, watcher=watcher, direct=direct
         )
-    except InfeasibleError as error:
+    except (InfeasibleError, SolverError) as error:
         return {**row, "error": str(error)}
     figures = {name: value for name, value in result.summary.items() if isinstance(value, int | float | str)}
     seconds = result.computing_seconds()
@@ -121,19 +138,16 @@ def _write(study: StudyFile, rows: list[dict[str, Any]], folder: Path) -> dict[s
 
     from cellwright.figures.study_charts import study_chart
 
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InvalidInputError(f"cannot write into {folder}: {error.strerror}: choose another --out") from error
     columns = list(dict.fromkeys(name for row in rows for name in row))
-    table = pa.table({name: [row.get(name) for row in rows] for name in columns})
-    files = {"table": folder / "table.parquet"}
-    pq.write_table(table, files["table"])
-    solved = [row for row in rows if not row["error"]]
+    table = pa.BufferOutputStream()
+    pq.write_table(pa.table({name: [row.get(name) for row in rows] for name in columns}), table)
+    names, contents = {"table": "table.parquet"}, {"table.parquet": table.getvalue().to_pybytes()}
     axes = {axis: list(points) for axis, points in study.axes.items()}
     for number, figure in enumerate(study.figures, 1):
-        picture = study_chart(
-            solved,
+        name = f"figure_{number}_{re.sub('[^a-z0-9_]+', '_', figure.y).strip('_')}.png"
+        names[figure.title] = name
+        contents[name] = study_chart(
+            [row for row in rows if not row["error"]],
             study.published,
             axes,
             title=figure.title,
@@ -145,6 +159,5 @@ def _write(study: StudyFile, rows: list[dict[str, Any]], folder: Path) -> dict[s
             log=figure.scale == "log",
             factor=figure.factor,
         )
-        files[figure.title] = folder / f"figure_{number}_{figure.y}.png"
-        files[figure.title].write_bytes(picture)
-    return files
+    write_files(folder, contents)
+    return {what: folder / name for what, name in names.items()}

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
+import numbers
 import struct
 from typing import Any, ClassVar
 
@@ -103,13 +104,35 @@ def _checked(name: str, spec: FieldSpec, value: Any, lengths: dict[str, int]) ->
             raise InvalidInputError(f"{name} must be bytes, not {type(value).__name__}")
         return value
     if spec.role == "fact":
-        return {"str": str, "bool": bool}.get(spec.dtype, float if "float" in spec.dtype else int)(value)
-    checked: tuple[str, ...] | AnyArray
-    checked = tuple(str(item) for item in value) if spec.dtype == "str" else _frozen(name, spec, value)
+        return _fact(name, spec, value)
+    checked = _texts(name, value) if spec.dtype == "str" else _frozen(name, spec, value)
     length = lengths.setdefault(spec.table, len(checked))
     if len(checked) != length:
         raise InvalidInputError(f"{name} has {len(checked)} rows but table {spec.table!r} has {length}")
     return checked
+
+
+def _fact(name: str, spec: FieldSpec, value: Any) -> str | bool | int | float:
+    fits: bool
+    plain: type[str | bool | int | float]
+    if spec.dtype == "str":
+        fits, plain = isinstance(value, str), str
+    elif spec.dtype == "bool":
+        fits, plain = isinstance(value, bool | np.bool_), bool
+    elif "float" in spec.dtype:
+        fits, plain = isinstance(value, numbers.Real) and not isinstance(value, bool), float
+    else:
+        fits, plain = isinstance(value, numbers.Integral) and not isinstance(value, bool), int
+    if not fits:
+        raise InvalidInputError(f"{name} is {value!r}, which is no {spec.dtype}")
+    return plain(value)
+
+
+def _texts(name: str, value: Any) -> tuple[str, ...]:
+    texts = (value,) if isinstance(value, str) else tuple(value)
+    if isinstance(value, str) or not all(isinstance(text, str) for text in texts):
+        raise InvalidInputError(f"{name} must be a sequence of texts, not {value!r}")
+    return tuple(str(text) for text in texts)  # NumPy's own texts become plain ones
 
 
 def _frozen(name: str, spec: FieldSpec, value: Any) -> AnyArray:
@@ -117,6 +140,10 @@ def _frozen(name: str, spec: FieldSpec, value: Any) -> AnyArray:
     wanted = np.dtype(spec.dtype)
     if given.dtype != wanted and not np.can_cast(given.dtype, wanted, casting="same_kind"):
         raise InvalidInputError(f"{name} has dtype {given.dtype}, which does not fit {wanted}")
+    if given.size and wanted.kind == "i" and not np.can_cast(given.dtype, wanted):
+        least, most, limits = int(given.min()), int(given.max()), np.iinfo(wanted)
+        if least < limits.min or most > limits.max:  # the cast would wrap around in silence
+            raise InvalidInputError(f"{name} holds {least} to {most}, which does not fit {wanted}")
     array = np.ascontiguousarray(given, dtype=wanted)
     if spec.width is None and array.ndim != 1:
         raise InvalidInputError(f"{name} has shape {array.shape}, not (rows,)")

@@ -17,7 +17,6 @@ from pydantic import BeforeValidator, Field, PrivateAttr, ValidationError, Valid
 from cellwright.arrays import FloatArray
 from schemas.cell_file_document import Document, Location, apply_overrides, read_document
 from schemas.cell_file_fields import (
-    AcuteAngle,
     Angle,
     AngularAcceleration,
     AngularSpeed,
@@ -27,6 +26,7 @@ from schemas.cell_file_fields import (
     Factor,
     Folder,
     Frequency,
+    Incidence,
     MeshFile,
     PoseSection,
     PositiveLength,
@@ -35,6 +35,7 @@ from schemas.cell_file_fields import (
     Text,
     Uncertainty,
     Unit,
+    WholeNumber,
     existing_file,
     fault,
     resolved,
@@ -162,13 +163,13 @@ class ScannerSection(Section):
         default=0.076, alias="emitter_detector_distance", description="Emitter to detector, along −x (paper: 76 mm)."
     )
     uncertainty: UncertaintySection = Field(default=UncertaintySection(), description="Uncertainty model.")
-    max_incidence_rad: AcuteAngle = Field(
+    max_incidence_rad: Incidence = Field(
         default=math.radians(75.0),
         alias="max_incidence",
         description="Largest angle between the normal and the ray to emitter or detector.",
     )
     profile_rate_hz: Frequency = Field(default=100.0, alias="profile_rate", description="Laser lines a second.")
-    points_per_profile: int = Field(default=200, ge=2, le=100_000, description="Points on a laser line.")
+    points_per_profile: WholeNumber = Field(default=200, ge=2, le=100_000, description="Points on a laser line.")
     mount: PoseSection = Field(
         default=PoseSection.model_construct(position_m=(0.1665, 0.0, 0.14318)),
         description="Pose of the laser-emitter frame on the flange link.",

@@ -32,6 +32,9 @@ MESH_SUFFIXES = (".stl", ".ply", ".obj", ".3mf", ".step", ".stp")
 
 Unit = Literal["um", "mm", "cm", "m", "in", "ft"]
 
+_LARGEST_ANGLE = math.radians(3600.0)
+"""Rad: ten turns; more is a slip of the unit."""
+
 
 def fault(message: str) -> PydanticCustomError:
     """Make a validation error whose message is shown as it is."""
@@ -66,7 +69,8 @@ class Quantity:
         if self.least is not None and si < self.least - slack:
             raise fault(f"{value!r} must be at least {self._written(self.least)}: write a larger value")
         if self.most is not None and si > self.most + slack:
-            hint = f": write {value} %" if self.dimension is quantities.SHARE and self.most < si <= 100 else ""
+            percents = self.dimension is quantities.SHARE and not isinstance(value, str) and 2.0 <= si <= 100.0
+            hint = f": write {value} %" if percents else ""
             raise fault(f"{value!r} must be at most {self._written(self.most)}{hint or ': write a smaller value'}")
         return si
 
@@ -77,21 +81,26 @@ class Quantity:
         return core_schema.no_info_before_validator_function(self.read, handler(source))
 
 
-Length = Annotated[float, Quantity(quantities.LENGTH)]
-PositiveLength = Annotated[float, Quantity(quantities.LENGTH, above=0.0)]
-NonNegativeLength = Annotated[float, Quantity(quantities.LENGTH, least=0.0)]
-Uncertainty = Annotated[float, Quantity(quantities.FINE_LENGTH, least=0.0)]
-Angle = Annotated[float, Quantity(quantities.ANGLE)]
+LONGEST_M = 1000.0
+"""No cell is longer; further out, positions lose the digits that collision checks need."""
+
+Length = Annotated[float, Quantity(quantities.LENGTH, least=-LONGEST_M, most=LONGEST_M)]
+PositiveLength = Annotated[float, Quantity(quantities.LENGTH, above=0.0, most=LONGEST_M)]
+NonNegativeLength = Annotated[float, Quantity(quantities.LENGTH, least=0.0, most=LONGEST_M)]
+Uncertainty = Annotated[float, Quantity(quantities.FINE_LENGTH, least=0.0, most=LONGEST_M)]
+Angle = Annotated[float, Quantity(quantities.ANGLE, least=-_LARGEST_ANGLE, most=_LARGEST_ANGLE)]
 AcuteAngle = Annotated[float, Quantity(quantities.ANGLE, least=0.0, most=math.radians(89.9))]
+Incidence = Annotated[float, Quantity(quantities.ANGLE, above=0.0, most=math.radians(89.9))]
 SmallAngle = Annotated[float, Quantity(quantities.ANGLE, above=0.0, most=math.radians(10.0))]
 Aperture = Annotated[float, Quantity(quantities.ANGLE, above=0.0, most=math.radians(170.0))]
 Tilt = Annotated[float, Quantity(quantities.ANGLE, least=math.radians(-89.0), most=math.radians(89.0))]
 Duration = Annotated[float, Quantity(quantities.TIME, above=0.0)]
-Speed = Annotated[float, Quantity(quantities.SPEED, above=0.0)]
-Acceleration = Annotated[float, Quantity(quantities.ACCELERATION, above=0.0)]
-AngularSpeed = Annotated[float, Quantity(quantities.ANGULAR_SPEED, above=0.0)]
-AngularAcceleration = Annotated[float, Quantity(quantities.ANGULAR_ACCELERATION, above=0.0)]
-Frequency = Annotated[float, Quantity(quantities.FREQUENCY, above=0.0)]
+# slower than these, a plan takes hours and its states no longer fit into memory
+Speed = Annotated[float, Quantity(quantities.SPEED, least=1e-3)]
+Acceleration = Annotated[float, Quantity(quantities.ACCELERATION, least=1e-3)]
+AngularSpeed = Annotated[float, Quantity(quantities.ANGULAR_SPEED, least=math.radians(0.1))]
+AngularAcceleration = Annotated[float, Quantity(quantities.ANGULAR_ACCELERATION, least=math.radians(0.1))]
+Frequency = Annotated[float, Quantity(quantities.FREQUENCY, above=0.0, most=1e6)]
 Density = Annotated[float, Quantity(quantities.AREAL_DENSITY, above=0.0)]
 Share = Annotated[float, Quantity(quantities.SHARE, above=0.0, most=1.0)]
 Factor = Annotated[float, Quantity(quantities.NUMBER, above=0.0)]
@@ -100,6 +109,8 @@ Number = Annotated[float, Quantity(quantities.NUMBER)]
 
 def _text(value: object) -> object:
     """Take a number as the name it was meant to be: `name: 12`."""
+    if isinstance(value, str) and not value.replace("\n", " ").isprintable():
+        raise fault(f"{value!r} holds characters that cannot be printed: remove them")
     return str(value) if isinstance(value, int | float) and not isinstance(value, bool) else value
 
 
@@ -140,6 +151,16 @@ def _folder(value: object, info: ValidationInfo) -> Path:
 
 MeshFile = Annotated[Path, BeforeValidator(_mesh_file)]
 Folder = Annotated[Path, BeforeValidator(_folder)]
+
+
+def _whole_number(value: object) -> object:
+    """Refuse what YAML reads as true or false; Python counts with them."""
+    if isinstance(value, bool):
+        raise fault(f"{str(value).lower()} is not a whole number: write one without unit")
+    return value
+
+
+WholeNumber = Annotated[int, BeforeValidator(_whole_number)]
 
 
 class Section(BaseModel):

@@ -28,6 +28,7 @@ from schemas.cell_file_fields import (
     Text,
     Tilt,
     Uncertainty,
+    WholeNumber,
     fault,
 )
 from schemas.scanner import ScannerParams
@@ -64,8 +65,12 @@ class SamplingSection(Section):
 class RefinementSection(Section):
     """How are gaps between the samples found and closed while planning?"""
 
-    density_factor: Factor = Field(default=4.0, description="Density of the refinement cloud over that of the samples.")
-    rounds: int = Field(default=3, ge=0, le=20, description="Most rounds of adding missed points; 0 turns it off.")
+    density_factor: Factor = Field(
+        default=10.0, description="Density of the refinement cloud over that of the samples."
+    )
+    rounds: WholeNumber = Field(
+        default=3, ge=0, le=20, description="Most rounds of adding missed points; 0 turns it off."
+    )
 
 
 class VerificationCloudSection(Section):
@@ -121,7 +126,7 @@ class MeasurabilitySection(Section):
 class ReachabilitySection(Section):
     """Which parts of the candidate sweeps can the robot execute?"""
 
-    step_m: Annotated[float, Quantity(quantities.LENGTH, above=0.0, most=0.05)] = Field(
+    step_m: Annotated[float, Quantity(quantities.LENGTH, least=1e-4, most=0.05)] = Field(
         default=0.005, alias="step", description="Largest distance of the checked poses on a sweep."
     )
     margin_m: NonNegativeLength = Field(
@@ -143,7 +148,7 @@ class SelectionSection(Section):
     method: Literal["best", "greedy", "exact"] = Field(
         default="best", description="The better of both within the limits, the paper's greedy, or the integer program."
     )
-    node_limit: int | None = Field(
+    node_limit: WholeNumber | None = Field(
         default=None, ge=1, description="Most nodes of the exact search; unlimited if left out."
     )
     time_limit_s: Duration = Field(default=20.0, alias="time_limit", description="Time limit of the exact search.")
@@ -155,10 +160,12 @@ class StitchingSection(Section):
     method: Literal["best", "greedy", "exact"] = Field(
         default="best", description="Order: the better of both, nearest next as in the paper, or dynamic programming."
     )
-    exact_up_to: int = Field(default=15, ge=1, le=18, description="Most sweeps for the exact order.")
-    roadmap_nodes: int = Field(default=1000, ge=0, le=100_000, description="Configurations in the roadmap.")
-    neighbours: int = Field(default=12, ge=1, le=200, description="Roadmap neighbours of a configuration.")
-    max_alternatives: int = Field(default=8, ge=1, le=64, description="Branches and windings tried of each sweep.")
+    exact_up_to: WholeNumber = Field(default=15, ge=1, le=18, description="Most sweeps for the exact order.")
+    roadmap_nodes: WholeNumber = Field(default=1000, ge=0, le=100_000, description="Configurations in the roadmap.")
+    neighbours: WholeNumber = Field(default=12, ge=1, le=200, description="Roadmap neighbours of a configuration.")
+    max_alternatives: WholeNumber = Field(
+        default=8, ge=1, le=64, description="Branches and windings tried of each sweep."
+    )
     step_rad: SmallAngle = Field(
         default=math.radians(2.0), alias="step", description="Largest joint step between collision checks."
     )
@@ -187,7 +194,7 @@ class ReportSection(Section):
 class PlannerSection(Section):
     """All settings of the planner."""
 
-    seed: int = Field(default=0, ge=0, le=2**63 - 1, description="Seed of all random numbers.")
+    seed: WholeNumber = Field(default=0, ge=0, le=2**63 - 1, description="Seed of all random numbers.")
     sampling: SamplingSection = Field(default=SamplingSection(), description="Where the surface is sampled.")
     refinement: RefinementSection = Field(default=RefinementSection(), description="How gaps are closed.")
     verification_cloud: VerificationCloudSection = Field(

@@ -11,6 +11,30 @@ from schemas.motion import ScanCloud, Trajectory, Verification
 from schemas.part import PartMesh
 from schemas.views import Coverage, Viewpoints, ViewSelection
 
+METRICS = frozenset(
+    {
+        "area_m2",
+        "area_to_measure_m2",
+        "candidates",
+        "coverage",
+        "coverage_of_coverable",
+        "coverage_of_samples",
+        "duration_s",
+        "greedy_sweeps",
+        "scan_points",
+        "scan_profiles",
+        "scanning_s",
+        "sweeps",
+        "sweeps_lower_bound",
+        "sweeps_proven_fewest",
+        "uncertainty_mean_m",
+        "uncertainty_median_m",
+        "uncertainty_p95_m",
+        "verified_states",
+    }
+)
+"""The figures that are one number: what the table of a study holds and its pictures draw."""
+
 
 def summarise(
     mesh: PartMesh,

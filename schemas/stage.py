@@ -17,6 +17,8 @@ from typing import Any
 from schemas.artefact import Artefact
 from schemas.params import Params
 
+_T = typing.TypeVar("_T")
+
 Progress = Callable[[float], None]
 """Called by long stages with the share of the work that is done, from 0 to 1."""
 
@@ -60,25 +62,29 @@ def stage(*, version: int) -> Callable[[Callable[..., Artefact]], Stage]:
     def declare(function: Callable[..., Artefact]) -> Stage:
         hints = typing.get_type_hints(function)
         inputs: dict[str, StageInput] = {}
-        params_class: type[Params] | None = None
+        keywords: set[str] = set()
         for name, parameter in inspect.signature(function).parameters.items():
             if parameter.kind is inspect.Parameter.KEYWORD_ONLY:
-                if name == "params":
-                    params_class = hints[name]
-                elif name != "progress":
-                    raise TypeError(f"stage {function.__name__}: unexpected keyword {name!r}")
+                keywords.add(name)
+            elif parameter.kind is inspect.Parameter.POSITIONAL_OR_KEYWORD:
+                inputs[name] = _input(function.__name__, name, hints.get(name))
             else:
-                inputs[name] = _input(function.__name__, name, hints[name])
-        if params_class is None or not issubclass(params_class, Params):
+                raise TypeError(f"stage {function.__name__}: {parameter} is neither an artefact nor params")
+        if unexpected := keywords - {"params", "progress"}:
+            raise TypeError(f"stage {function.__name__}: unexpected keyword {min(unexpected)!r}")
+        params_class, output = _class(Params, hints.get("params")), _class(Artefact, hints.get("return"))
+        if "params" not in keywords or params_class is None:
             raise TypeError(f"stage {function.__name__} needs keyword-only params of a Params class")
+        if output is None:
+            raise TypeError(f"stage {function.__name__} returns {hints.get('return')}, not an artefact")
         declared = Stage(
             function.__name__,
             version,
             function,
             types.MappingProxyType(inputs),
             params_class,
-            hints["return"],
-            "progress" in hints,
+            output,
+            "progress" in keywords,
         )
         declared.__dict__["__doc__"] = function.__doc__
         return declared
@@ -87,11 +93,14 @@ def stage(*, version: int) -> Callable[[Callable[..., Artefact]], Stage]:
 
 
 def _input(stage_name: str, name: str, hint: Any) -> StageInput:
-    members = [member for member in typing.get_args(hint) if member is not type(None)]
-    if typing.get_origin(hint) is tuple:
-        return StageInput(members[0], many=True, optional=False)
-    if members and len(members) < len(typing.get_args(hint)):
-        return StageInput(members[0], many=False, optional=True)
-    if isinstance(hint, type) and issubclass(hint, Artefact):
-        return StageInput(hint, many=False, optional=False)
-    raise TypeError(f"stage {stage_name}: input {name!r} is {hint}, not an artefact")
+    many = typing.get_origin(hint) is tuple
+    members = [member for member in typing.get_args(hint) if member not in (types.NoneType, ...)]
+    optional = not many and len(members) < len(typing.get_args(hint))
+    artefact = _class(Artefact, members[0] if len(members) == 1 else hint)
+    if artefact is None or (many and typing.get_args(hint)[-1] is not ...):
+        raise TypeError(f"stage {stage_name}: input {name!r} is {hint}, not an artefact")
+    return StageInput(artefact, many=many, optional=optional)
+
+
+def _class(wanted: type[_T], hint: Any) -> type[_T] | None:
+    return hint if isinstance(hint, type) and issubclass(hint, wanted) else None

@@ -46,11 +46,12 @@ def follow_sweeps(
     """Find the executable pieces of all views that measure a sample.
 
     Raises:
-        InvalidInputError: If the inputs do not belong together or the arm has no inverse kinematics.
+        InvalidInputError: If the inputs do not belong together, the arm has no inverse kinematics, or the start
+            configuration collides.
         InfeasibleError: If the robot's base collides with the part or the cell, so that no sweep can be executed.
     """
     from cellwright.cell.scene import Scene
-    from cellwright.errors import InfeasibleError
+    from cellwright.errors import InfeasibleError, InvalidInputError
     from cellwright.solvers.sweep_following import follow_sweeps as follow
     from cellwright.solvers.sweep_poses import FollowSettings
     from schemas.cell_objects import build_cell
@@ -63,8 +64,15 @@ def follow_sweeps(
     touching = standing_pair(scene, built)
     if touching is not None:
         raise InfeasibleError(
-            f"{touching[0]} and {touching[1]} both stand still and are closer than {params.clearance_m * 1e3:.3g} mm, "
-            "so no configuration is free: move one of them, or declare that they may touch"
+            f"{touching[0]} and {touching[1]} both stand still and are closer than {params.clearance_m * 1e3:.4g} mm, "
+            "so no configuration is free: move one of them, or lower planner.reachability.clearance"
+        )
+    touching = scene.colliding_pair(built.start)
+    if touching is not None:  # said before the long search instead of after it
+        raise InvalidInputError(
+            f"the start configuration brings {touching[0]} and {touching[1]} closer than "
+            f"{params.clearance_m * 1e3:.4g} mm: choose another robot.start, move the part, or lower "
+            "planner.reachability.clearance"
         )
     followed = follow(
         built,

@@ -6,6 +6,8 @@ point cloud is shown in portions, each at the time of its last profile.
 
 from __future__ import annotations
 
+from collections.abc import Set
+
 import numpy as np
 from pydantic import Field
 
@@ -48,7 +50,8 @@ def record_plan(
     frames, parents, carriers = _frames(built.robot.n_joints)
     pose_time, pose_frame, position, quaternion = _poses(built, trajectory, T_world_part, params.frame_rate_hz)
     colours, first, count, triangles = _entities(built)
-    cloud_time, order = _portions(scan, params.cloud_rate_hz)
+    end = float(trajectory.time_s[-1])
+    cloud_time, order = _portions(scan, params.cloud_rate_hz, end)
     return Recording(
         joint=cell.joint,
         state_time_ns=_nanoseconds(trajectory.time_s),
@@ -95,8 +98,9 @@ def _poses(
         (2 + n_joints, cell.robot.chain.T_last_flange),
         (3 + n_joints, cell.T_flange_scanner),
     ]
-    end = float(trajectory.time_s[-1]) if len(trajectory.time_s) else 0.0
-    ticks = np.append(np.arange(0.0, end, 1.0 / rate_hz), end)
+    end = float(trajectory.time_s[-1])
+    # the last state is always there, and never a rounding error after a tick
+    ticks = np.append(np.arange(np.ceil(end * rate_hz - 1e-6)) / rate_hz, end)
     q = np.stack(
         [np.interp(ticks, trajectory.time_s, trajectory.position_rad[:, joint]) for joint in range(n_joints)], axis=1
     )
@@ -111,30 +115,33 @@ def _entities(cell: Cell) -> tuple[FloatArray, Int32Array, Int32Array, FloatArra
     """All bodies as triangles in the frame that carries them; the part stays in its own frame."""
     from cellwright.cell.tessellation import triangles_of
     from cellwright.cell.transforms import apply
+    from cellwright.cell.urdf_tree import parse_urdf
 
     triangles, counts, colours = [], [], []
+    links = parse_urdf(cell.robot.urdf).links.keys()
     for body in cell.bodies:
         vertices, faces = triangles_of(body.shape)
         placed = vertices if body.name == PART and isinstance(body.shape, Mesh) else apply(body.T_parent_body, vertices)
         triangles.append(placed[faces].reshape(-1, 9))
         counts.append(len(faces))
-        colours.append(_COLOURS[_role(cell, body.name, body.parent)])
+        colours.append(_COLOURS[_role(body.name, body.parent, links)])
     count = np.array(counts, np.int32)
     first = (np.cumsum(count) - count).astype(np.int32)
     return np.array(colours), first, count, np.concatenate(triangles)
 
 
-def _role(cell: Cell, name: str, parent: int) -> str:
+def _role(name: str, parent: int, links: Set[str]) -> str:
     if name == PART:
         return "part"
     if parent == WORLD:
         return "world"
-    return "tool" if name.startswith("housing") and parent == cell.robot.n_joints else "robot"
+    # what hangs on the robot without being a link of its URDF was put there by the cell file
+    return "robot" if name in links or name.rpartition(".")[0] in links else "tool"
 
 
-def _portions(scan: ScanCloud, rate_hz: float) -> tuple[IntArray, IntArray]:
+def _portions(scan: ScanCloud, rate_hz: float, end: float) -> tuple[IntArray, IntArray]:
     """Time at which each point is shown, in ascending order, and the order of the points."""
     time = scan.time_s[scan.profile]
-    shown = np.ceil(time * rate_hz) / rate_hz
+    shown = np.minimum(np.ceil(time * rate_hz) / rate_hz, max(end, float(time.max(initial=0.0))))
     order = np.argsort(shown, kind="stable")
     return _nanoseconds(shown[order]), order

@@ -43,7 +43,8 @@ def sample_surface(mesh: PartMesh, *, params: SurfaceParams) -> SurfaceSamples:
     if n_samples > _MOST_SAMPLES:
         raise InvalidInputError(
             f"{params.density_per_m2 * 1e-6:g} /mm^2 on {area * 1e6:.0f} mm^2 asks for {n_samples} samples but at most "
-            f"{_MOST_SAMPLES} can be handled: write a density below {_MOST_SAMPLES / area * 1e-6:.3g} /mm^2"
+            f"{_MOST_SAMPLES} can be handled: lower planner.sampling.density, or the density_factor of this cloud, to "
+            f"reach at most {_MOST_SAMPLES / area * 1e-6:.3g} /mm^2"
         )
     triangles = mesh.vertices_m[mesh.faces[faces]]
     rng = np.random.default_rng(params.seed)

@@ -6,6 +6,7 @@ import math
 
 from pydantic import Field, field_validator
 
+from cellwright.errors import InvalidInputError
 from schemas.params import Params
 from schemas.part import SurfaceSamples
 from schemas.stage import stage
@@ -13,6 +14,8 @@ from schemas.views import Viewpoints
 
 _THIRD = math.radians(120.0)
 _TILT = math.radians(30.0)
+_MOST_CANDIDATES = 2_000_000
+"""Eighty times those of the paper's finest sampling; more need over 2 GB and hours."""
 
 
 class ViewpointParams(Params):
@@ -52,12 +55,23 @@ def sample_viewpoints(samples: SurfaceSamples, *, params: ViewpointParams) -> Vi
     """Return one candidate sweep for each sample, standoff and tilt, sample by sample.
 
     Raises:
-        InvalidInputError: Never; the params are validated and the samples carry unit normals.
+        InvalidInputError: If there are more candidates than can be handled.
     """
     from cellwright.cell.transforms import quaternion_from_rotation
     from cellwright.solvers.viewpoints import TiltGrid, candidate_poses
 
     grid = TiltGrid(params.standoff_m, params.delta_rot_rad, params.theta_tilt_rad, params.psi_tilt_rad)
+    n_samples, n_directions = (
+        len(samples.points_m),
+        math.prod(
+            len(each) for each in (params.standoff_m, params.delta_rot_rad, params.theta_tilt_rad, params.psi_tilt_rad)
+        ),
+    )
+    if n_samples * n_directions > _MOST_CANDIDATES:
+        raise InvalidInputError(
+            f"{n_samples} samples with {n_directions} tilts and standoffs each are {n_samples * n_directions} "
+            f"candidates but at most {_MOST_CANDIDATES} can be handled: lower the sampling density or leave out tilts"
+        )
     poses = candidate_poses(samples.points_m, samples.normals, grid)
     return Viewpoints(
         sample=poses.sample,

@@ -75,7 +75,7 @@ def select_views(measurability: Measurability, *, params: SetCoverParams) -> Vie
         max_uncertainty_m=_worst_assigned(matrix, views, uncertainty),
         cause=cause,
         greedy_view=greedy.order.astype(np.int32),
-        method=found.method,
+        method="search" if found.method == "greedy" and not np.array_equal(views, greedy.columns) else found.method,
         lower_bound=bound,
         gap=max(0.0, (len(views) - least) / len(views)),
         proven=len(views) <= least,

@@ -10,12 +10,17 @@ from __future__ import annotations
 import numpy as np
 from pydantic import Field
 
+from cellwright.cell.scanner import Scanner
+from cellwright.errors import InvalidInputError
 from schemas.motion import ScanCloud, Trajectory
 from schemas.part import PartMesh, Surroundings
 from schemas.poses import Pose
 from schemas.scanner import SensingParams
 from schemas.sources import CellModel
 from schemas.stage import stage
+
+_MOST_RAYS = 20_000_000
+"""More need over 2 GB while they are kept."""
 
 
 class ScanParams(SensingParams):
@@ -35,7 +40,8 @@ def simulate_scan(
     """Return what the scanner measures along the trajectory, in the frame `part`.
 
     Raises:
-        InvalidInputError: If the trajectory does not belong to the cell.
+        InvalidInputError: If the trajectory does not belong to the cell, or the scanner would take more points than
+            can be handled.
     """
     from cellwright.cell.transforms import quaternion_from_rotation
     from cellwright.solvers.hermite import states_at
@@ -52,6 +58,7 @@ def simulate_scan(
     built = build_cell(cell, mesh, T_world_part)
     sweeps = np.flatnonzero(np.array(trajectory.kind) == "sweep")
     scanner = params.scanner.scanner()
+    _check_number_of_rays(scanner, float((trajectory.end_s[sweeps] - trajectory.start_s[sweeps]).sum()))
     times, sweep = profile_times(trajectory.start_s[sweeps], trajectory.end_s[sweeps], scanner.profile_rate)
     if len(times):
         q, _ = states_at(trajectory.time_s, trajectory.position_rad, trajectory.velocity_rad_s, times)
@@ -77,3 +84,13 @@ def simulate_scan(
         quaternion=quaternion_from_rotation(T_part_scanner[:, :3, :3]),
         segment=sweeps[sweep].astype(np.int32),
     )
+
+
+def _check_number_of_rays(scanner: Scanner, scanning_s: float) -> None:
+    n_rays = scanner.profile_rate * scanner.points_per_profile * scanning_s
+    if n_rays > _MOST_RAYS:
+        raise InvalidInputError(
+            f"{scanner.points_per_profile} points a profile at {scanner.profile_rate:g} Hz in {scanning_s:.1f} s of "
+            f"scanning are {n_rays:.3g} points but at most {_MOST_RAYS:.3g} can be handled: lower "
+            "scanner.points_per_profile or scanner.profile_rate, or raise the scan_speed"
+        )

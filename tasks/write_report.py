@@ -43,6 +43,10 @@ _CAUSE_WORDS = {
 }
 
 
+_OFF_SURFACE = 0.002
+"""How far the points of the 3D view stand off the surface, as a share of the part's diagonal."""
+
+
 class ReportParams(Params):
     """Settings of the report."""
 
@@ -80,7 +84,6 @@ def write_report(
         mesh.to_measure,
         cloud.points_m,
         coverage.cause,
-        title=params.title,
         spacing=spacing,
     )
     uncertainty_png = uncertainty_histogram(coverage.uncertainty_m, params.max_uncertainty_m)
@@ -114,7 +117,9 @@ def write_report(
         plotly_js=_trusted(_plotly_js()),
         scene_json=_trusted(_scene_json(mesh, cloud, coverage, viewpoints, trajectory, params.max_points)),
     )
-    return InspectionReport(page.encode(), coverage_png, uncertainty_png, plan_png, json.dumps(summary, sort_keys=True))
+    return InspectionReport(
+        page.encode(), coverage_png, uncertainty_png, plan_png, json.dumps(summary, sort_keys=True, allow_nan=False)
+    )
 
 
 def _words(summary: dict[str, Any]) -> dict[str, str]:
@@ -140,13 +145,12 @@ def _words(summary: dict[str, Any]) -> dict[str, str]:
 
 
 def _tiles(summary: dict[str, Any]) -> list[dict[str, str]]:
-    median = summary["uncertainty_median_m"]
     return [
         {"value": f"{summary['coverage']:.2%}", "label": "of the surface measured"},
         {"value": f"{summary['coverage_of_coverable']:.2%}", "label": "of what any sweep can measure"},
         {"value": str(summary["sweeps"]), "label": f"sweeps of {summary['candidates']:,} candidates"},
         {"value": f"{summary['duration_s']:.1f} s", "label": "cycle time"},
-        {"value": "–" if median is None else f"{1e6 * median:.0f} µm", "label": "median uncertainty"},
+        {"value": f"{_micrometres(summary['uncertainty_median_m'])} µm", "label": "median uncertainty"},
         {"value": f"{summary['scan_points']:,}", "label": "scan points"},
     ]
 
@@ -190,10 +194,14 @@ def _sweep_rows(selection: ViewSelection, trajectory: Trajectory) -> list[dict[s
                 "length": f"{1e3 * (np.nanmax(travel) - np.nanmin(travel)):.0f}",
                 "samples": str(selection.n_samples[row]),
                 "only": str(selection.n_only[row]),
-                "uncertainty": f"{1e6 * selection.max_uncertainty_m[row]:.0f}",
+                "uncertainty": _micrometres(float(selection.max_uncertainty_m[row])),
             }
         )
     return rows
+
+
+def _micrometres(length_m: float | None) -> str:
+    return "–" if length_m is None or not np.isfinite(length_m) else f"{1e6 * length_m:.0f}"
 
 
 def _order_rows(trajectory: Trajectory) -> list[dict[str, str]]:
@@ -236,14 +244,20 @@ def _scene_json(
 ) -> str:
     from cellwright.figures.coverage_map import CAUSE_COLOURS
 
-    stride = -(-len(cloud.points_m) // max_points)
+    is_missed = coverage.cause != Cause.NONE
+    # what was missed is drawn before what was measured, and neither beyond what a browser turns smoothly
+    n_missed = min(int(is_missed.sum()), max_points // 2)
+    stride_missed = -(-int(is_missed.sum()) // max(n_missed, 1))
+    stride = -(-int((~is_missed).sum()) // (max_points - n_missed))
+    # a hair off the surface, which would swallow half of every point otherwise
+    off = _OFF_SURFACE * float(np.linalg.norm(np.ptp(mesh.vertices_m, axis=0)))
+    shown = cloud.points_m + off * cloud.normals
     clouds = []
     for cause in Cause:
         of_cause: BoolArray = coverage.cause == cause
         if not of_cause.any():
             continue
-        # what was missed is drawn in full, what was measured is thinned to what a browser turns smoothly
-        points = cloud.points_m[of_cause][:: 1 if cause else stride]
+        points = shown[of_cause][:: stride_missed if cause else stride]
         clouds.append(
             {
                 "name": "measured" if cause is Cause.NONE else cause.label,
@@ -258,7 +272,7 @@ def _scene_json(
         "clouds": clouds,
         "sweeps": _sweep_lines(viewpoints, trajectory),
     }
-    return json.dumps(scene, separators=(",", ":")).replace("</", "<\\/")
+    return json.dumps(scene, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
 
 
 def _sweep_lines(viewpoints: Viewpoints, trajectory: Trajectory) -> dict[str, list[Any]]:
@@ -293,4 +307,4 @@ def _trusted(text: str) -> Any:
     """Mark our own script text as not to be escaped."""
     import markupsafe
 
-    return markupsafe.Markup(text)  # plotly's own script and JSON that escapes "</"
+    return markupsafe.Markup(text)  # plotly's own script, and JSON without "<"

@@ -1,9 +1,9 @@
 """Which pairs of bodies need no collision check, and why: computed once for a cell and stored with it.
 
-As MoveIt's set-up assistant does it: neighbouring links touch at their joint by design, pairs that collide in
-every one of many random configurations are modelled into each other, and pairs of the arm that never come within
-a margin cannot meet. Nothing that involves the world is ever left out for "never": it depends on where things
-stand, and costs little.
+As MoveIt's set-up assistant does it: neighbouring links touch at their joint by design, pairs of the arm that collide
+in every one of many random configurations are modelled into each other, and pairs of the arm that never come within
+a margin cannot meet. Of the world, only what the robot's base stands in or on is left out: an obstacle that the
+moving arm hits in every configuration is in its way, and is told as such.
 """
 
 from __future__ import annotations
@@ -102,9 +102,10 @@ def _sampled(
     for a, b in touching.pairs.tolist():
         pair = (min(a, b), max(a, b))
         standing = max(parents[a], parents[b]) == BASE
-        if always.get(pair, 0) == max(1, n_samples // 10):
+        of_arm = WORLD not in (parents[a], parents[b])
+        if (of_arm or standing) and always.get(pair, 0) == max(1, n_samples // 10):
             found[pair] = Reason.ALWAYS_TOUCHING
-        elif WORLD not in (parents[a], parents[b]) and not standing and within.get(pair, 0) == 0:
+        elif of_arm and not standing and within.get(pair, 0) == 0:
             found[pair] = Reason.NEVER_TOUCHING
     return found
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from cellwright.arrays import AnyArray, FloatArray
-from cellwright.figures.coverage_map import png_bytes
+from cellwright.figures.coverage_map import plain_text, png_bytes
 
 SWEEP_COLOUR = "#2a9d5c"
 CONNECTION_COLOUR = "#9aa5b1"
@@ -67,11 +67,11 @@ def plan_chart(
         axes.spines[["top", "right"]].set_visible(False)
         axes.margins(x=0)
     for joint, name in enumerate(joints):
-        above.plot(time, np.degrees(position[:, joint]), linewidth=1.2, label=name)
+        above.plot(time, np.degrees(position[:, joint]), linewidth=1.2, label=plain_text(name))
         below.plot(time, 100 * np.abs(velocity[:, joint]) / max_velocity[joint], linewidth=1.0)
     below.axhline(100, color="#d1495b", linewidth=1)
     above.set_ylabel("joint position, °")
     below.set_ylabel("speed, % of limit")
     below.set_xlabel("time, s (sweeps on green)")
-    above.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False, fontsize=9)
+    above.legend(handles=above.get_lines(), loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False, fontsize=9)
     return png_bytes(figure)

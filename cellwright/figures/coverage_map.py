@@ -9,7 +9,7 @@ import numpy as np
 
 from cellwright.arrays import BoolArray, FloatArray, Int8Array, Int32Array
 from cellwright.causes import Cause
-from cellwright.figures.surface_view import Camera, cast_picture, paint
+from cellwright.figures.surface_view import cameras_around, cast_pictures, paint
 
 CAUSE_COLOURS: dict[Cause, str] = {
     Cause.NONE: "#2a9d5c",
@@ -23,8 +23,8 @@ CAUSE_COLOURS: dict[Cause, str] = {
     Cause.COLLISION: "#e07a1f",
     Cause.JOINT_SPEED: "#c9a227",
     Cause.TOO_SHORT: "#6c757d",
-    Cause.NOT_SELECTED: "#e9c46a",
-    Cause.NOT_SCANNED: "#f4d35e",
+    Cause.NOT_SELECTED: "#f4d35e",
+    Cause.NOT_SCANNED: "#22304f",
 }
 """One colour a cause, the same in every picture."""
 
@@ -37,6 +37,13 @@ def rgb(colour: str) -> tuple[float, float, float]:
     return int(colour[1:3], 16) / 255, int(colour[3:5], 16) / 255, int(colour[5:7], 16) / 255
 
 
+_DIRECTIONS_DEG = [(-60, 28), (30, 28), (120, 28), (-150, -28)]
+"""Azimuth and elevation of the views: all sides from above, and one from below."""
+
+_TALL = 0.8
+"""Pictures whose width is a smaller share of their height than this stand in one row."""
+
+
 def coverage_picture(
     vertices: FloatArray,
     faces: Int32Array,
@@ -44,24 +51,25 @@ def coverage_picture(
     points: FloatArray,
     cause: Int8Array,
     *,
-    title: str,
     spacing: float,
 ) -> bytes:
     """Render the part from four sides, coloured by the nearest cloud point's cause, as PNG bytes.
 
     Args:
-        vertices: Part vertices in m, (n, 3); faces: (m, 3); to_measure: flag a face, (m,).
-        points: Cloud points in m, (k, 3), with their ``cause`` (k,).
-        title: Heading of the picture.
-        spacing: Typical distance between cloud points in m; pixels further from any point stay grey.
+        vertices: Part vertices in m, (n, 3).
+        faces: Its triangles, (m, 3).
+        to_measure: Whether a face is to be measured, (m,).
+        points: Cloud points in m, (k, 3).
+        cause: Their causes, (k,).
+        spacing: Typical distance between cloud points in m; pixels further than four of it from any stay grey.
     """
     from scipy.spatial import cKDTree
 
     tree = cKDTree(points)
     palette = np.array([rgb(CAUSE_COLOURS[cause]) for cause in Cause])
     views = []
-    for azimuth, elevation in [(-60, 28), (120, 28), (30, 28), (-150, -28)]:
-        hits = cast_picture(vertices, faces, Camera(math.radians(azimuth), math.radians(elevation)))
+    ways = [(math.radians(azimuth), math.radians(elevation)) for azimuth, elevation in _DIRECTIONS_DEG]
+    for hits in cast_pictures(vertices, faces, cameras_around(vertices, ways)):
         colours = np.tile(np.array(rgb(NOT_TO_MEASURE)), (*hits.hit.shape, 1))
         wanted = hits.hit & to_measure[hits.face]
         distance, nearest = tree.query(hits.point[wanted], distance_upper_bound=4 * spacing)
@@ -70,18 +78,23 @@ def coverage_picture(
         found[near] = palette[cause[nearest[near]]]
         colours[wanted] = found
         views.append(paint(hits, colours))
-    return _sheet(views, cause, title)
+    return _sheet(views, cause)
 
 
-def _sheet(views: list[FloatArray], cause: Int8Array, title: str) -> bytes:
+def _sheet(views: list[FloatArray], cause: Int8Array) -> bytes:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
     from matplotlib.patches import Patch
 
-    figure = Figure(figsize=(11, 10.2), dpi=110, layout="constrained")
+    height, width = views[0].shape[:2]
+    n_columns = len(views) if width < _TALL * height else 2
+    n_rows = -(-len(views) // n_columns)
+    figure_width = 12.0
+    picture_height = n_rows * figure_width / n_columns * height / width
+    figure = Figure(figsize=(figure_width, picture_height + 0.5), dpi=110, layout="constrained")
     FigureCanvasAgg(figure)
     for place, view in enumerate(views):
-        axes = figure.add_subplot(2, 2, place + 1)
+        axes = figure.add_subplot(n_rows, n_columns, place + 1)
         axes.imshow(view)
         axes.set_axis_off()
     counts = np.bincount(cause, minlength=len(Cause))
@@ -91,8 +104,7 @@ def _sheet(views: list[FloatArray], cause: Int8Array, title: str) -> bytes:
         if counts[which]
     ]
     handles.append(Patch(color=NOT_TO_MEASURE, label="not to be measured"))
-    figure.suptitle(title, fontsize=15)
-    figure.legend(handles=handles, loc="outside lower center", ncols=3, frameon=False, fontsize=11)
+    figure.legend(handles=handles, loc="outside lower center", ncols=4, frameon=False, fontsize=11)
     return png_bytes(figure)
 
 
@@ -105,3 +117,8 @@ def png_bytes(figure: object) -> bytes:
     stream = io.BytesIO()
     figure.savefig(stream, format="png", metadata={"Software": None})  # type: ignore[attr-defined]  # Figure, lazily
     return stream.getvalue()
+
+
+def plain_text(text: str) -> str:
+    """Return a text so that matplotlib shows it as it is: a dollar sign begins no formula."""
+    return text.replace("$", r"\$")

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from cellwright.figures.coverage_map import png_bytes
+from cellwright.figures.coverage_map import plain_text, png_bytes
 
 _COLOURS = ("#2a9d5c", "#e07a1f", "#3f6fd6", "#a63d2f", "#7b5ea7", "#3fa7d6")
 

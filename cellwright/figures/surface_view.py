@@ -5,11 +5,18 @@ Needs no window system and no graphics card; the same mesh, colours and camera g
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from cellwright.arrays import BoolArray, FloatArray, Int32Array
+
+_BORDER = 1.04
+"""Pictures are larger than the mesh by this factor."""
+
+_AMBIENT = 0.45
+"""Brightness of a face that no light falls on: its colour must still be told from the others."""
 
 
 @dataclass(frozen=True)
@@ -20,12 +27,18 @@ class Camera:
         azimuth: Angle about z from x to the camera, rad.
         elevation: Angle above the xy plane, rad.
         width, height: Picture size in pixels.
+        scale: Size of a pixel in m.
     """
 
     azimuth: float
     elevation: float
-    width: int = 640
-    height: int = 560
+    width: int
+    height: int
+    scale: float
+
+    def axes(self) -> FloatArray:
+        """Return the unit vectors to the right, up, and from the mesh to the camera, (3, 3)."""
+        return _axes(self.azimuth, self.elevation)
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +49,7 @@ class PixelHits:
         hit: Whether the pixel shows the mesh, (height, width).
         face: Face hit, (height, width); undefined where nothing is hit.
         point: Point hit, (height, width, 3).
-        shade: Brightness by the angle between face and camera, 0 to 1, (height, width).
+        shade: Brightness of the face under a light above the camera, 0 to 1, (height, width).
     """
 
     hit: BoolArray
@@ -45,41 +58,62 @@ class PixelHits:
     shade: FloatArray
 
 
-def cast_picture(vertices: FloatArray, faces: Int32Array, camera: Camera) -> PixelHits:
-    """Cast one ray a pixel at a mesh (vertices (n, 3), faces (m, 3)) that fills the picture."""
+def cameras_around(vertices: FloatArray, directions: Sequence[tuple[float, float]], pixels: int = 640) -> list[Camera]:
+    """Return a camera for each direction (azimuth, elevation) in rad: pictures of one size and one scale.
+
+    The mesh's largest extent in any of them takes ``pixels``; the shorter side of the pictures is as long as needed.
+    """
+    middle = _centre(vertices)
+    extents = np.array([2 * np.abs((vertices - middle) @ _axes(*way)[:2].T).max(axis=0) for way in directions])
+    width, height = extents.max(axis=0) * _BORDER
+    scale = float(max(width, height)) / pixels
+    n_columns, n_rows = max(1, round(width / scale)), max(1, round(height / scale))
+    return [Camera(*way, n_columns, n_rows, scale) for way in directions]
+
+
+def cast_pictures(vertices: FloatArray, faces: Int32Array, cameras: Sequence[Camera]) -> list[PixelHits]:
+    """Cast one ray a pixel at a mesh, vertices (n, 3) in m and faces (m, 3), for each camera."""
     import open3d as o3d
 
-    towards = np.array(
-        [
-            np.cos(camera.elevation) * np.cos(camera.azimuth),
-            np.cos(camera.elevation) * np.sin(camera.azimuth),
-            np.sin(camera.elevation),
-        ]
-    )
-    right = np.array([-np.sin(camera.azimuth), np.cos(camera.azimuth), 0.0])
-    up = np.cross(towards, right)
-    centre = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
-    flat = (vertices - centre) @ np.stack([right, up, towards]).T
-    scale = 1.06 * max(2 * np.abs(flat[:, 0]).max() / camera.width, 2 * np.abs(flat[:, 1]).max() / camera.height)
-    x = (np.arange(camera.width) - (camera.width - 1) / 2) * scale
-    y = ((camera.height - 1) / 2 - np.arange(camera.height)) * scale
-    depth = 1.1 * np.abs(flat[:, 2]).max() + scale
-    origins = x[None, :, None] * right + y[:, None, None] * up + depth * towards
-    rays = np.concatenate([origins, np.broadcast_to(-towards, origins.shape)], axis=-1).astype(np.float32)
+    middle = _centre(vertices)
     scene = o3d.t.geometry.RaycastingScene()
     scene.add_triangles(
-        o3d.core.Tensor((vertices - centre).astype(np.float32)), o3d.core.Tensor(faces.astype(np.uint32))
+        o3d.core.Tensor((vertices - middle).astype(np.float32)), o3d.core.Tensor(faces.astype(np.uint32))
     )
-    cast = scene.cast_rays(o3d.core.Tensor(rays))
-    distance = cast["t_hit"].numpy()
-    hit = np.isfinite(distance)
-    normal = cast["primitive_normals"].numpy()
-    shade = 0.35 + 0.65 * np.abs(normal @ towards.astype(np.float32))
-    point = origins - np.where(hit, distance, 0.0)[..., None] * towards + centre
-    face = np.where(hit, cast["primitive_ids"].numpy(), 0).astype(np.int32)
-    return PixelHits(hit, face, point, np.where(hit, shade, 0.0))
+    distance_away = 1.1 * float(np.linalg.norm(vertices - middle, axis=1).max())
+    pictures = []
+    for camera in cameras:
+        right, up, towards = camera.axes()
+        x = (np.arange(camera.width) - (camera.width - 1) / 2) * camera.scale
+        y = ((camera.height - 1) / 2 - np.arange(camera.height)) * camera.scale
+        origins = x[None, :, None] * right + y[:, None, None] * up + distance_away * towards
+        rays = np.concatenate([origins, np.broadcast_to(-towards, origins.shape)], axis=-1).astype(np.float32)
+        cast = scene.cast_rays(o3d.core.Tensor(rays))
+        distance = cast["t_hit"].numpy()
+        hit = np.isfinite(distance)
+        light = (towards + 0.2 * up + 0.15 * right).astype(np.float32)
+        light /= np.linalg.norm(light)
+        # a face seen from behind is lit like its front: shells have no inside
+        facing = cast["primitive_normals"].numpy()
+        facing *= np.where(facing @ towards.astype(np.float32) < 0, -1, 1)[..., None]
+        shade = _AMBIENT + (1 - _AMBIENT) * np.clip(facing @ light, 0, 1)
+        point = origins - np.where(hit, distance, 0.0)[..., None] * towards + middle
+        face = np.where(hit, cast["primitive_ids"].numpy(), 0).astype(np.int32)
+        pictures.append(PixelHits(hit, face, point, np.where(hit, shade, 0.0)))
+    return pictures
 
 
 def paint(hits: PixelHits, colours: FloatArray) -> FloatArray:
     """Return an RGB picture (height, width, 3), 0 to 1: pixel colours (height, width, 3) shaded, white around."""
     return np.where(hits.hit[..., None], colours * hits.shade[..., None], 1.0)
+
+
+def _axes(azimuth: float, elevation: float) -> FloatArray:
+    c, s = np.cos(elevation), np.sin(elevation)
+    towards = np.array([c * np.cos(azimuth), c * np.sin(azimuth), s])
+    right = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
+    return np.stack([right, np.cross(towards, right), towards])
+
+
+def _centre(vertices: FloatArray) -> FloatArray:
+    return np.asarray((vertices.min(axis=0) + vertices.max(axis=0)) / 2)

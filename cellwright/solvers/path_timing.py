@@ -18,7 +18,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from cellwright.arrays import FloatArray
-from cellwright.errors import SolverError
+from cellwright.errors import InfeasibleError, SolverError
 from cellwright.solvers.hermite import shares_of_limits
 
 LIMIT_TOLERANCE = 0.005
@@ -27,6 +27,8 @@ SHORTEST_INTERVAL = 1e-4
 """Seconds; closer states would lose digits of the acceleration between them."""
 SHORTEST_MOTION = 1e-12
 """Rad or m; a coordinate that changes by less stands still."""
+MOST_STATES = 2_000_000
+"""States of one motion: days of motion that nobody waits for, and the memory of the planner."""
 SPAN_PER_GRID_STEP = 1.0 / 100.0
 """Longest step of the timing grid as a share of the path; 1/100 is within 1 % of the trapezoid's time."""
 
@@ -161,11 +163,17 @@ def time_path(path: Path, knots: FloatArray, limits: Limits, sample: float) -> T
 
     Raises:
         SolverError: If TOPP-RA finds no timing.
+        InfeasibleError: If the motion takes so long that its states cannot be kept.
     """
     grid = _grid(knots)
     rate = _fastest_rates(path, grid, limits)
     step_time = 2.0 * np.diff(grid) / (rate[:-1] + rate[1:])
     grid_time = np.concatenate([[0.0], np.cumsum(step_time)])
+    if grid_time[-1] > MOST_STATES * sample:
+        raise InfeasibleError(
+            f"a motion takes {grid_time[-1]:.3g} s, but at most {MOST_STATES * sample:.3g} s can be planned: "
+            "raise the limits of speed and acceleration"
+        )
     motion = _sampled(path, grid, grid_time, rate, np.arange(0.0, grid_time[-1], sample))
     for _ in range(2):
         # a switch inside an interval bends the Hermite curve: make the switches of such intervals states

@@ -8,19 +8,26 @@ import numpy as np
 
 from cellwright.arrays import BoolArray, FloatArray, IntArray
 from cellwright.solvers.set_cover_bounds import lower_bound
+from cellwright.solvers.set_cover_dive import dive_cover
 from cellwright.solvers.set_cover_greedy import greedy_order, rows_needed
 from cellwright.solvers.set_cover_matrix import TOLERANCE, CoverMatrix, cover_matrix
 from cellwright.solvers.set_cover_reductions import ReducedCover, reduce_cover
-from cellwright.solvers.set_cover_relaxation import solve_relaxation
+from cellwright.solvers.set_cover_relaxation import Relaxation, solve_relaxation
 from cellwright.solvers.set_cover_search import improve_cover
 
 _SEARCH_SHARE = 0.1
 """Share of the work that one local search over the best columns may use; on measurability matrices it then has the
 optimum in nearly all trials."""
+_SEARCH_PASSES = 5000
+"""Visits of each entry after which a local search ends at the latest: small problems need no more."""
 _QUICK_SHARE = 0.01
 """Share of the first local search, over all columns, whose cover scales the steps of the bounds."""
 _RELAXATION_SHARE = 0.6
 """Share that the linear program may use; it is the stronger half of the proof."""
+_DIVE_SHARE = 0.3
+"""Share of the dives."""
+_LARGE_COVER = 30
+"""Covers of this many columns get dives as well: there the local search alone is weak."""
 _CORE_FACTOR = 3
 """Columns for each row in the core that the local search walks, those of lowest reduced cost."""
 _MIN_CORE = 1000
@@ -99,52 +106,56 @@ def start_cover(
     first = _cheaper(
         left, _lifted(matrix, reduced, greedy), greedy_order(left, tie[reduced.columns], left.n_rows - n_spare)
     )
-    quick = improve_cover(left, first, max_work=_QUICK_SHARE * max_work, n_spare=n_spare, seed=seed)
+    quick_work = min(_QUICK_SHARE * max_work, _SEARCH_PASSES * len(left.column_rows))
+    quick = improve_cover(left, first, max_work=quick_work, n_spare=n_spare, seed=seed)
     rough = lower_bound(left, upper_bound=float(left.costs[quick].sum()), n_needed=left.n_rows - n_spare)
-    start = CoverStart(matrix, reduced, greedy, quick, rough.duals, rough.value, n_spare, len(quick) < len(first), work)
+    start = CoverStart(
+        matrix, reduced, greedy, quick, rough.duals, rough.value, n_spare, _is_cheaper(left, quick, first), work
+    )
     if start.closed:
         return start
     relaxed = solve_relaxation(left, rough.duals, n_spare=n_spare, max_work=_RELAXATION_SHARE * max_work)
-    best = search_core(left, quick, relaxed.duals, relaxed.value, n_spare, max_work=_SEARCH_SHARE * max_work, seed=seed)
-    return CoverStart(
-        matrix,
-        reduced,
-        greedy,
-        best,
-        relaxed.duals,
-        relaxed.value,
-        n_spare,
-        bool(left.costs[best].sum() < left.costs[first].sum()),
-        work + relaxed.work + (_SEARCH_SHARE + _QUICK_SHARE) * max_work,
-    )
+    best, spent = _search_core(left, quick, relaxed, n_spare, max_work=_SEARCH_SHARE * max_work, seed=seed)
+    work += quick_work + relaxed.work + spent
+    if n_spare == 0 and len(best) >= _LARGE_COVER:
+        best, spent = _dived(left, best, relaxed.duals, _DIVE_SHARE * max_work)
+        work += spent
+    searched = _is_cheaper(left, best, first)
+    return CoverStart(matrix, reduced, greedy, best, relaxed.duals, relaxed.value, n_spare, searched, work)
 
 
-def search_core(
-    matrix: CoverMatrix,
-    cover: IntArray,
-    duals: FloatArray,
-    bound: float,
-    n_spare: int,
-    *,
-    max_work: float,
-    seed: int = 0,
-) -> IntArray:
-    """Improve a cover by local search among its own columns and those of lowest reduced cost."""
+def _dived(matrix: CoverMatrix, cover: IntArray, duals: FloatArray, max_work: float) -> tuple[IntArray, float]:
+    """Return the cheapest of a cover and several dives, and the work."""
+    work = 0.0
+    for threshold in (0.5, 0.7, 0.9):
+        cost = float(matrix.costs[cover].sum())
+        found, spent = dive_cover(matrix, duals, threshold=threshold, max_cost=cost, max_work=max_work - work)
+        work += spent
+        if found is not None:
+            cover = found
+    return cover, work
+
+
+def _search_core(
+    matrix: CoverMatrix, cover: IntArray, relaxed: Relaxation, n_spare: int, *, max_work: float, seed: int
+) -> tuple[IntArray, float]:
+    """Improve a cover by local search among its own columns and those of lowest reduced cost; with the work."""
     core = np.zeros(matrix.n_columns, bool)
     size = max(_CORE_FACTOR * matrix.n_rows, _MIN_CORE)
-    core[np.argsort(matrix.reduced_costs(duals), kind="stable")[:size]] = True
+    core[np.argsort(matrix.reduced_costs(relaxed.duals), kind="stable")[:size]] = True
     core[cover] = True
     names = np.flatnonzero(core)
     left = matrix.select(np.ones(matrix.n_rows, bool), core)
+    work = min(max_work, float(_SEARCH_PASSES * len(left.column_rows)))
     found = improve_cover(
         left,
         np.searchsorted(names, cover),
-        max_work=max_work,
-        target=matrix.round_up(bound) + TOLERANCE,
+        max_work=work,
+        target=matrix.round_up(relaxed.value) + TOLERANCE,
         n_spare=n_spare,
         seed=seed,
     )
-    return np.asarray(names[found])
+    return names[found], work
 
 
 def scaled_matrix(matrix: object, costs: object) -> tuple[CoverMatrix, float]:
@@ -156,20 +167,12 @@ def scaled_matrix(matrix: object, costs: object) -> tuple[CoverMatrix, float]:
     return cover_matrix(given, given.costs / scale), scale
 
 
-def _rounded(matrix: CoverMatrix, share: FloatArray, n_needed: int) -> IntArray:
-    """Return the cover that the linear program suggests: its larger half, completed greedily from its other columns."""
-    taken = np.flatnonzero(share > 0.5 - TOLERANCE)
-    uncovered = matrix.times_covered(taken) == 0
-    n_missing = n_needed - int((~uncovered).sum())
-    if n_missing <= 0:
-        return taken
-    names = np.flatnonzero(share > 0.0)
-    rest = matrix.select(uncovered, share > 0.0)
-    return np.union1d(taken, names[greedy_order(rest, -share[names], n_missing)])
-
-
 def _cheaper(matrix: CoverMatrix, first: IntArray, second: IntArray) -> IntArray:
-    return first if matrix.costs[first].sum() <= matrix.costs[second].sum() else second
+    return second if _is_cheaper(matrix, second, first) else first
+
+
+def _is_cheaper(matrix: CoverMatrix, first: IntArray, second: IntArray) -> bool:
+    return bool(matrix.costs[first].sum() < matrix.costs[second].sum() - TOLERANCE)
 
 
 def _lifted(matrix: CoverMatrix, reduced: ReducedCover, columns: IntArray) -> IntArray:

@@ -102,6 +102,7 @@ def follow_sweeps(
             progress((0.9 if exact else 1.0) * done / len(poses.sweep))
         if exact is not None:
             n_checks, n_unsettled = _settle(follower, poses, table, exact, pool, progress)
+    progress(1.0)
     return _gathered(sweeps, poses, table, n_checks, n_unsettled)
 
 

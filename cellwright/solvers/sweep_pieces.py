@@ -170,6 +170,9 @@ def evaluate_sweep(
     for branch in range(n_branches):
         path = np.ascontiguousarray(q[:, branch])
         for lowest_status, out in ((CLEAR, pieces), (UNDECIDED, hopes)):
+            if lowest_status == UNDECIDED and not (status[branch] == UNDECIDED).any():
+                out[branch] = pieces[branch]
+                continue
             out[branch, 0], out[branch, 1], out[branch, 2] = longest_piece(
                 path,
                 linked[branch],

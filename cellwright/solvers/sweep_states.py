@@ -122,14 +122,15 @@ def _shifts_into(
     lever: FloatArray,
     links: FloatArray,
     following: FloatArray,
-    change: FloatArray,
+    q: FloatArray,
+    k: int,
     ways: FloatArray,
     out: FloatArray,
 ) -> float:
     """Write how far the bodies of each pair move against each other from one pose to the next to ``out``, in m.
 
     The lesser of two bounds: the ways of both bodies in the base (``ways`` is room for them), and the turns
-    ``change`` (joints,) of the joints between them times their levers. Returns the greatest.
+    of the joints of ``q`` (poses, joints) between them from pose ``k`` on, times their levers. Returns the greatest.
     """
     for m in range(len(carrier)):
         ways[m] = greatest_shift(links, following, carrier[m], node, m)
@@ -137,7 +138,7 @@ def _shifts_into(
     for p in range(len(pair)):
         swing = 0.0
         for joint in range(pair[p, 2], carrier[pair[p, 0]]):
-            swing += abs(change[joint]) * lever[p, joint]
+            swing += abs(q[k + 1, joint] - q[k, joint]) * lever[p, joint]
         other = pair[p, 3]
         out[p] = min(swing, ways[pair[p, 0]] + (ways[other] if other >= 0 else 0.0))
         greatest = max(greatest, out[p])
@@ -208,10 +209,11 @@ def _branch_states(
             reserve[:] = -1.0
             before[:] = 0.0
         goes_on = k + 1 < n and linked[k + 1] and status[k + 1] == CLEAR
-        after[:] = 0.0
+        for p in range(n_pairs):
+            after[p] = 0.0
         if goes_on:
             link_poses_into(T_parent_joint, axis, q[k + 1], following)
-            shift[k + 1] = _shifts_into(node, carrier, pair, lever, links, following, q[k + 1] - q[k], ways, after)
+            shift[k + 1] = _shifts_into(node, carrier, pair, lever, links, following, q, k, ways, after)
         for p in range(n_pairs):
             before[p] = max(before[p], after[p])
         status[k], blocker[k] = arm_state(

@@ -218,7 +218,7 @@ def one_sweep(centre, half: float = 0.05) -> CandidateSweeps:
     """A sweep along y that looks straight down at a point."""
     R = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
     T = pose(np.asarray(centre, float), R)[None]
-    return CandidateSweeps(T, np.array([-half]), np.array([half]), np.zeros(2, np.int32), np.array([-half, half]))
+    return CandidateSweeps(T, np.array([-half]), np.array([half]), np.zeros(3, np.int32), np.array([-half, 0.0, half]))
 
 
 def bare_cell(*bodies: Body, limits=None) -> Cell:
@@ -246,7 +246,7 @@ def test_a_free_sweep_has_pieces_over_its_whole_length():
     found = follow_sweeps(bare_cell(), one_sweep(REACHABLE), settings=SETTINGS)
     assert found.outcome[0] == Cause.NONE
     assert found.start[0] == pytest.approx(-0.08) and found.end[0] == pytest.approx(0.08)
-    assert found.n_samples[0] == 2
+    assert found.n_samples[0] == 3
 
 
 def test_a_far_sweep_is_out_of_reach():
@@ -269,18 +269,17 @@ def test_a_scan_too_fast_for_the_joints_is_named():
     assert outcome_of(bare_cell(), one_sweep(REACHABLE), settings) == (Cause.JOINT_SPEED, "")
 
 
-def test_a_gap_shorter_than_the_shortest_piece_is_named():
-    # walls on both sides leave the housing some 30 mm of travel
-    walls = [
-        Body(f"wall {k}", Box((1.0, 0.02, 0.6)), WORLD, at(0.7, 0.1 + side * 0.115, 0.5))
-        for k, side in enumerate((-1, 1))
-    ]
-    free = follow_sweeps(bare_cell(*walls), one_sweep(REACHABLE), settings=FollowSettings(shortest=0.01))
-    if free.outcome[0] == Cause.NONE:
-        length = (free.end - free.start).max()
-        assert length < 0.05
-        cause, _ = outcome_of(bare_cell(*walls), one_sweep(REACHABLE))
-        assert cause in (Cause.TOO_SHORT, Cause.COLLISION)
+def test_a_piece_shorter_than_the_shortest_is_named():
+    # the first joint turns some 0.23 rad along the sweep; limits leave it 0.05 rad in the middle
+    sweeps, chain = one_sweep(REACHABLE), bare_cell().robot.chain
+    free = follow_sweeps(bare_cell(), sweeps, settings=SETTINGS)
+    middle = traced(bare_cell(), sweeps.T_world_scanner[0], free.q_start[0], free.start[0], free.end[0], 0.01)[8]
+    lower, upper = chain.lower.copy(), chain.upper.copy()
+    lower[0], upper[0] = middle[0] - 0.025, middle[0] + 0.025
+    built = bare_cell(limits={"lower": lower, "upper": upper})
+    short = follow_sweeps(built, sweeps, settings=FollowSettings(shortest=0.01, margin=0.06))
+    assert 0.01 <= (short.end - short.start).max() < 0.05
+    assert outcome_of(built, sweeps) == (Cause.TOO_SHORT, "")
     assert outcome_of(bare_cell(), one_sweep(REACHABLE, 0.01), FollowSettings(margin=0.005)) == (Cause.TOO_SHORT, "")
 
 

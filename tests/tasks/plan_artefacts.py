@@ -1,0 +1,107 @@
+"""A whole small plan, made by hand: an arm with two joints sweeps twice over a plate that has a table beside it."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+
+from cellwright.causes import Cause
+from cellwright.cell.bodies import BASE, WORLD, Body, Box, Sphere
+from cellwright.cell.transforms import pose
+from schemas.motion import ScanCloud, Trajectory, Verification
+from schemas.part import SurfaceSamples
+from schemas.sources import CellModel
+from schemas.views import Coverage, Viewpoints, ViewSelection
+from tests.tasks.plate_scene import points_on_top, scanned, selected, views_down
+from tests.tasks.test_simulate_scan import cell_model, swing
+
+T_WORLD_PART = pose(np.array([0.5, 0.1, 0.2]), np.eye(3))
+TIP = pose(np.array([0.1, 0.0, 0.0]), np.eye(3))
+
+BODIES = (
+    Body("base_link", Box((0.1, 0.1, 0.1)), BASE, np.eye(4)),
+    Body("one.1", Box((0.5, 0.02, 0.02)), 1, np.eye(4)),
+    Body("tool0", Sphere(0.01), 2, np.eye(4)),
+    Body("camera", Box((0.02, 0.03, 0.04)), 2, TIP),
+    Body("table", Box((1.0, 1.0, 0.1)), WORLD, pose(np.array([0.0, 0.0, -0.05]), np.eye(3))),
+)
+POINTS = ((0.0, 0.0), (0.05, 0.0), (0.1, 0.0), (-0.05, 0.0), (-0.1, 0.0), (0.0, 0.15))
+
+
+def cell() -> CellModel:
+    return cell_model(*BODIES)
+
+
+def trajectory() -> Trajectory:
+    """Two sweeps of half a second after two connections; views 4 and 1 in this order."""
+    coarse = swing("connection", "sweep", "connection", "sweep")
+    time = np.linspace(0.0, 2.0, 21)
+    segment = np.minimum(time // 0.5, 3).astype(np.int32)
+    since = time - coarse.start_s[segment]
+    return changed(
+        coarse,
+        time_s=time,
+        position_rad=np.outer(time, [0.2, -0.2]),
+        velocity_rad_s=np.tile([0.2, -0.2], (21, 1)),
+        acceleration_rad_s2=np.zeros((21, 2)),
+        segment=segment,
+        travel_m=np.where(segment % 2 == 1, 0.2 * since - 0.05, np.nan),
+        view=np.array([-1, 4, -1, 1], np.int32),
+    )
+
+
+def changed(artefact: Any, **changes: Any) -> Any:
+    return dataclasses.replace(artefact, **changes)
+
+
+def cloud() -> SurfaceSamples:
+    return points_on_top(*POINTS)
+
+
+def coverage() -> Coverage:
+    cause = np.array([0, 0, 0, 0, Cause.COLLISION, Cause.NOT_SCANNED], np.int8)
+    return Coverage(
+        measured=cause == 0,
+        coverable=cause != Cause.COLLISION,
+        cause=cause,
+        blocked_by=np.array([-1, -1, -1, -1, 0, -1], np.int32),
+        uncertainty_m=np.where(cause == 0, 45e-6, np.nan).astype(np.float32),
+        body=("table", "part"),
+        radius_m=0.002,
+        share_measured=4 / 6,
+        share_of_coverable=4 / 5,
+    )
+
+
+def viewpoints() -> Viewpoints:
+    return views_down(*POINTS)
+
+
+def selection() -> ViewSelection:
+    return changed(selected(1, 4, n_samples=6), max_uncertainty_m=np.array([5e-5, np.nan]))
+
+
+def scan() -> ScanCloud:
+    """Six points, one profile each, in disorder."""
+    points = np.array([(x, y, 0.0) for x, y in POINTS])
+    return changed(
+        scanned(points),
+        profile=np.array([5, 0, 3, 1, 4, 2], np.int32),
+        time_s=np.array([0.61, 0.62, 0.9, 1.61, 1.7, 1.999]),
+        position_m=np.tile([0.0, 0.0, 0.182], (6, 1)),
+        quaternion=np.tile([0.0, 1.0, 0.0, 0.0], (6, 1)),
+        segment=np.array([1, 1, 1, 3, 3, 3], np.int32),
+    )
+
+
+def verification() -> Verification:
+    return Verification(
+        check=("joint speed", "collision distance"),
+        found=np.array([0.98, 0.0043]),
+        permitted=np.array([1.0, 0.0]),
+        unit=("of the limit", "m"),
+        n_states=4321,
+        engine="FCL",
+    )

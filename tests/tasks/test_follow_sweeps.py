@@ -1,0 +1,136 @@
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from cellwright.causes import Cause
+from cellwright.cell.scene import Scene
+from cellwright.cell.transforms import inverse, pose, quaternion_from_rotation
+from cellwright.errors import InfeasibleError, InvalidInputError
+from schemas.artefact import digest
+from schemas.cell_objects import build_cell
+from schemas.poses import Pose
+from schemas.views import Measurability, Reachability, Viewpoints
+from tasks.follow_sweeps import SweepParams, follow_sweeps
+from tests.cellwright.solvers import scanning_cell
+from tests.tasks.scanning_artefacts import PART_POSE, T_WORLD_PART, cell_model, part_mesh
+
+ANGLES = [(angle, tilt) for angle in np.linspace(-3.0, 3.0, 9) for tilt in (0.3, 0.8)]
+PARAMS = SweepParams(T_world_part=PART_POSE)
+
+
+@cache
+def viewpoints() -> Viewpoints:
+    T = np.stack([inverse(T_WORLD_PART) @ scanning_cell.sweep_pose(*angle) for angle in ANGLES])
+    n = len(T)
+    zero = np.zeros(n)
+    return Viewpoints(
+        sample=np.arange(n, dtype=np.int32),
+        position_m=T[:, :3, 3],
+        quaternion=quaternion_from_rotation(T[:, :3, :3]),
+        delta_rot_rad=zero,
+        theta_tilt_rad=zero,
+        psi_tilt_rad=zero,
+        standoff_m=np.full(n, scanning_cell.STANDOFF),
+    )
+
+
+def measured(*, half_m: float = 0.03, idle: int = 0) -> Measurability:
+    """Each view measures its own sample and one without a view at both ends of its interval; the last are idle."""
+    n = len(ANGLES)
+    view = np.arange(n - idle, dtype=np.int32)
+    travel = np.where(np.arange(n) < n - idle, half_m, np.nan)
+    return Measurability(
+        view=np.repeat(view, 2),
+        sample=np.column_stack([view, np.full(n - idle, n)]).ravel().astype(np.int32),
+        uncertainty_m=np.full(2 * (n - idle), 5e-5, np.float32),
+        start_m=-travel,
+        end_m=travel,
+        cause=np.zeros(n + 1, np.int8),
+    )
+
+
+@cache
+def reached() -> Reachability:
+    return follow_sweeps(cell_model(), part_mesh(), viewpoints(), measured(), params=PARAMS)
+
+
+def test_views_get_pieces_or_causes():
+    found = reached()
+    n = len(ANGLES)
+    has = np.isin(np.arange(n), found.view)
+    assert has.sum() > 2
+    assert ((found.outcome == 0) == has).all()
+    assert (found.end_m - found.start_m >= 0.05 - 1e-9).all()
+    assert (found.start_m >= -0.06 - 1e-9).all() and (found.end_m <= 0.06 + 1e-9).all()
+    assert ((found.blocked_by >= 0) == (found.outcome == Cause.COLLISION)).all()
+    assert found.body[-1] == "part"
+
+
+def test_pieces_begin_free_in_limits_and_at_the_pose_of_their_travel():
+    found, built = reached(), build_cell(cell_model(), part_mesh(), T_WORLD_PART)
+    scene = Scene(built, PARAMS.clearance_m)
+    for row, q in enumerate(found.q_start_rad):
+        assert not scene.collides(q)
+        assert (q >= built.robot.chain.lower).all() and (q <= built.robot.chain.upper).all()
+        along = pose(np.array([found.start_m[row], 0.0, 0.0]), np.eye(3))
+        T = built.T_world_base @ built.robot.flange_pose(q) @ built.T_flange_scanner
+        assert np.allclose(T, scanning_cell.sweep_pose(*ANGLES[found.view[row]]) @ along, atol=1e-6)
+
+
+def test_views_that_measure_nothing_are_not_followed():
+    found = follow_sweeps(cell_model(), part_mesh(), viewpoints(), measured(idle=9), params=PARAMS)
+    assert found.view.max(initial=-1) < len(ANGLES) - 9
+    assert (found.outcome[-9:] == Cause.NONE).all()
+
+
+def test_the_same_recipe_gives_the_same_content():
+    again = follow_sweeps(cell_model(), part_mesh(), viewpoints(), measured(), params=PARAMS)
+    assert digest(again) == digest(reached())
+
+
+def test_progress_rises_to_one():
+    shares: list[float] = []
+    follow_sweeps(cell_model(), part_mesh(), viewpoints(), measured(), params=PARAMS, progress=shares.append)
+    assert shares == sorted(shares)
+    assert shares[-1] == 1.0
+
+
+def test_a_part_in_the_robot_s_base_is_a_finding():
+    params = PARAMS.model_copy(update={"T_world_part": Pose()})
+    with pytest.raises(InfeasibleError, match="base_link_inertia and part both stand still"):
+        follow_sweeps(cell_model(), part_mesh(), viewpoints(), measured(), params=params)
+
+
+def test_artefacts_that_do_not_belong_together_are_refused():
+    few = Measurability(
+        view=np.array([0], np.int32),
+        sample=np.array([0], np.int32),
+        uncertainty_m=np.array([5e-5], np.float32),
+        start_m=np.array([0.0]),
+        end_m=np.array([0.0]),
+        cause=np.zeros(1, np.int8),
+    )
+    with pytest.raises(InvalidInputError, match=f"measurability has 1 views but there are {len(ANGLES)} viewpoints"):
+        follow_sweeps(cell_model(), part_mesh(), viewpoints(), few, params=PARAMS)
+
+
+def test_the_recipe_s_result_has_not_changed():
+    """Another outcome with the same stage version: raise the version of `follow_sweeps`."""
+    found = reached()
+    assert {
+        "pieces": len(found.view),
+        "outcome": found.outcome.tolist(),
+        "first branch": [int(found.branch[found.view == view][0]) for view in np.unique(found.view)],
+        "length in mm": round(1e3 * float((found.end_m - found.start_m).sum())),
+    } == GOLDEN
+
+
+GOLDEN = {
+    "pieces": 52,
+    "outcome": [0, 0, 0, 0, 0, 0, 0, 0, int(Cause.COLLISION), 0, 0, 0, 0, 0, 0, 0, 0, 0],
+    "first branch": [3, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 3, 1],
+    "length in mm": 6090,
+}

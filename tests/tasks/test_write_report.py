@@ -1,0 +1,221 @@
+"""The report: one page that needs nothing else, says what the artefacts say, and escapes what people wrote."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import re
+from functools import cache
+from html.parser import HTMLParser
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from cellwright.causes import Cause
+from schemas.inspection_summary import METRICS, summarise
+from schemas.report import InspectionReport
+from tasks.write_report import ReportParams, write_report
+from tests.tasks import plan_artefacts as plan
+from tests.tasks.plate_scene import plate
+
+VOID = {"meta", "img", "br", "link", "input", "hr"}
+
+
+class Page(HTMLParser):
+    """Reads a page strictly: tags must close in order. Keeps text, scripts, and what would be fetched."""
+
+    def __init__(self, html: str) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.texts: list[str] = []
+        self.scripts: list[str] = []
+        self.styles: list[str] = []
+        self.sources: list[str] = []
+        self.feed(html)
+        self.close()
+        assert self.open == []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        if tag not in VOID:
+            self.open.append(tag)
+        assert tag not in ("link", "iframe", "object", "embed", "base")
+        self.sources += [value or "" for name, value in attrs if name in ("src", "href", "srcset", "data", "action")]
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        within = self.open[-1] if self.open else ""
+        {"script": self.scripts, "style": self.styles}.get(within, self.texts).append(data)
+
+    @property
+    def text(self) -> str:
+        return re.sub(r"\s+", " ", " ".join(self.texts))
+
+    def scene(self) -> dict[str, Any]:
+        (script,) = [text for text in self.scripts if text.lstrip().startswith("const scene = ")]
+        scene, _ = json.JSONDecoder().raw_decode(script.lstrip().removeprefix("const scene = "))
+        return scene  # type: ignore[no-any-return]
+
+
+def written(**changes: Any) -> InspectionReport:
+    parts: dict[str, Any] = {
+        "mesh": plate(),
+        "cell": plan.cell(),
+        "cloud": plan.cloud(),
+        "coverage": plan.coverage(),
+        "viewpoints": plan.viewpoints(),
+        "selection": plan.selection(),
+        "trajectory": plan.trajectory(),
+        "verification": plan.verification(),
+        "scan": plan.scan(),
+        "params": ReportParams(title="Plate", notes="A remark"),
+    }
+    return write_report(**{**parts, **changes})  # type: ignore[no-any-return]
+
+
+@cache
+def report() -> InspectionReport:
+    return written()
+
+
+@cache
+def page() -> Page:
+    return Page(report().page.decode())
+
+
+def test_the_page_is_whole_html_and_fetches_nothing() -> None:
+    assert report().page.startswith(b"<!doctype html>")
+    assert all(source.startswith("data:image/png;base64,") for source in page().sources)
+    assert len(page().sources) == 3
+    assert not re.search(r"@import|url\(", "".join(page().styles))
+    own = [script for script in page().scripts if "const scene" in script]
+    assert not re.search(r"https?:|fetch\(|XMLHttpRequest|import\(", "".join(own))
+
+
+def test_the_page_says_what_the_summary_says() -> None:
+    summary, text = json.loads(report().summary), page().text
+    assert summary["coverage"] == pytest.approx(4 / 6)
+    for words in (
+        "Plate", "A remark", "66.67%", "80.00%", "2 sweeps measure 66.67% of the surface in 2.0 s", "45 µm",
+        "4,321 states", "checked again by FCL", "collide with table", "6 scan points", "collision distance",
+    ):  # fmt: skip
+        assert words in text, words
+    for cause in (Cause.COLLISION, Cause.NOT_SCANNED):
+        assert f"{cause.label} 1 16.67%" in text
+
+
+def test_sweeps_stand_in_the_order_in_which_they_run() -> None:
+    # number, view, branch, direction, begins, lasts, length, samples, it alone, worst uncertainty
+    assert "1 4 0 along x 0.50 0.50" in page().text
+    assert "2 1 0 along x 1.50 0.50" in page().text
+    assert "nan" not in page().text.lower()
+
+
+def test_the_scene_is_json_of_the_part_its_points_and_the_sweeps() -> None:
+    scene = page().scene()
+    assert len(scene["mesh"]["i"]) == len(plate().faces)
+    np.testing.assert_allclose(np.ptp(scene["mesh"]["x"]), 400)
+    assert {cloud["name"]: len(cloud["x"]) for cloud in scene["clouds"]} == {
+        "measured": 4, "collision": 1, "not scanned": 1,
+    }  # fmt: skip
+    assert scene["sweeps"]["text"] == ["1", "", "", "2", "", ""]
+    # view 4 stands above (-0.1, 0) and moves along x
+    assert scene["sweeps"]["y"][:2] == [0.0, 0.0]
+    assert scene["sweeps"]["z"][:3] == [182.0, 182.0, None]
+    assert -150 <= scene["sweeps"]["x"][0] < scene["sweeps"]["x"][1] <= -50
+
+
+def test_what_people_write_is_shown_and_never_run() -> None:
+    hostile = "</script><script>alert('é $1 & $2')</script><!--RUN-->"
+    joints = plan.changed(plan.cell(), joint=("_a$", "$b</script>"))
+    coverage = plan.changed(plan.coverage(), body=("</td><script>", "part"))
+    mesh = plan.changed(plate(), finding=("<img src=x onerror=1>",))
+    found = written(params=ReportParams(title=hostile, notes=hostile), cell=joints, coverage=coverage, mesh=mesh)
+    html = found.page.decode()
+    shown = Page(html)
+    assert shown.text.count(hostile) == 2 + 1  # title, heading, notes
+    assert len(shown.scripts) == len(page().scripts)
+    assert html.count("<!--RUN-->") == 1
+    assert "<img src=x onerror=1>" in shown.text
+
+
+def test_the_figures_are_in_the_page_and_open() -> None:
+    import base64
+
+    for png in (report().coverage_png, report().uncertainty_png, report().plan_png):
+        assert f"data:image/png;base64,{base64.b64encode(png).decode()}" in page().sources
+        with Image.open(io.BytesIO(png)) as image:
+            assert min(image.size) > 300
+
+
+def test_a_big_cloud_is_thinned_and_the_missed_points_go_first() -> None:
+    n = 3000
+    rng = np.random.default_rng(0)
+    points = np.column_stack([rng.uniform(-0.2, 0.2, (n, 2)), np.zeros(n)])
+    cloud = plan.changed(
+        plan.cloud(), points_m=points, normals=np.tile([0.0, 0.0, 1.0], (n, 1)), face=np.zeros(n, np.int32)
+    )
+    for n_missed in (40, 2500):
+        cause = np.zeros(n, np.int8)
+        cause[:n_missed] = Cause.INCIDENCE
+        coverage = plan.changed(
+            plan.coverage(),
+            measured=cause == 0,
+            coverable=cause == 0,
+            cause=cause,
+            blocked_by=np.full(n, -1, np.int32),
+            uncertainty_m=np.where(cause == 0, 5e-5, np.nan).astype(np.float32),
+        )
+        found = written(cloud=cloud, coverage=coverage, params=ReportParams(max_points=1000))
+        drawn = {cloud["name"]: len(cloud["x"]) for cloud in Page(found.page.decode()).scene()["clouds"]}
+        assert sum(drawn.values()) <= 1000
+        assert drawn["incidence"] == (40 if n_missed == 40 else 500)
+
+
+def test_a_plan_that_measured_nothing_still_has_a_report() -> None:
+    cause = np.full(6, Cause.NOT_SCANNED, np.int8)
+    coverage = plan.changed(
+        plan.coverage(),
+        measured=cause == 0,
+        cause=cause,
+        uncertainty_m=np.full(6, np.nan, np.float32),
+        share_measured=0.0,
+        share_of_coverable=0.0,
+    )
+    found = written(coverage=coverage)
+    assert "– µm" in Page(found.page.decode()).text
+    assert json.loads(found.summary)["uncertainty_median_m"] is None
+
+
+def test_the_summary_holds_the_figures_that_studies_may_draw() -> None:
+    summary = summarise(
+        plate(),
+        plan.viewpoints(),
+        plan.selection(),
+        plan.trajectory(),
+        plan.scan(),
+        plan.coverage(),
+        plan.verification(),
+    )
+    assert summary == json.loads(report().summary)
+    numbers = {name for name, value in summary.items() if isinstance(value, int | float)}
+    assert numbers == METRICS
+    assert summary["causes"] == {"collision": 1, "not scanned": 1}
+    assert summary["collides_with"] == {"table": 1}
+    assert summary["scanning_s"] == pytest.approx(1.0)
+
+
+def test_the_result_is_the_one_of_this_version() -> None:
+    # the pictures and plotly's script change with the libraries, the rest of the page only with this stage
+    html = report().page.decode()
+    html = re.sub(r"base64,[A-Za-z0-9+/=]+", "base64,", html)
+    html = re.sub(
+        r"<script>.*?</script>", lambda found: found[0] if "const scene" in found[0] else "", html, flags=re.S
+    )
+    found = hashlib.sha256(html.encode() + report().summary.encode()).hexdigest()
+    golden = "c55e6d2a999e3ad09b688701af8747a18a57e7311bb5aaefbf42bc9d3c5369ed"
+    assert found == golden, "the result changed: raise the version of write_report"
