@@ -34,7 +34,7 @@ class Cause(IntEnum):
     TOO_SHORT = 10
     """The executable piece is shorter than the shortest permitted one."""
     NOT_SELECTED = 11
-    """A reachable sweep measures it, but the selection (coverage goal below 100 %) left it out."""
+    """A reachable sweep measures it, but none of the selected ones (a goal below 100 %, or between the samples)."""
     NOT_SCANNED = 12
     """A selected sweep should measure it, but no profile of the simulated scan fell close enough."""
 

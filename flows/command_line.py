@@ -174,6 +174,12 @@ def _add_lake(commands: Any) -> None:
             command.add_argument("subject", metavar=argument.upper())
         if action == "gc":
             command.add_argument("--yes", action="store_true", help="delete it; without this only say what would go")
+            command.add_argument(
+                "--keep-runs",
+                type=int,
+                metavar="N",
+                help="forget all recorded runs but the newest N first; none younger than a day",
+            )
         command.add_argument("--lake", metavar="DIR", help=_LAKE_HELP)
         command.add_argument("--json", action="store_true", help="print JSON")
         command.set_defaults(run=_lake, action=action, subject=None)
@@ -192,7 +198,12 @@ _LAKE_COMMANDS = (
         'cellwright lake sql "SELECT kind, count(*) FROM manifests GROUP BY kind"',
     ),
     ("verify", "", "check every file in the lake against its hash", "cellwright lake verify"),
-    ("gc", "", "find what no run reaches any more, and delete it on request", "cellwright lake gc --yes"),
+    (
+        "gc",
+        "",
+        "find what no run reaches any more, and delete it on request",
+        "cellwright lake gc --keep-runs 10 --yes",
+    ),
 )
 
 
@@ -302,6 +313,7 @@ def _lake(options: argparse.Namespace) -> int:
         options.lake or default_lake(),
         subject=options.subject,
         delete=getattr(options, "yes", False),
+        keep_runs=getattr(options, "keep_runs", None),
         as_json=options.json,
     )
 

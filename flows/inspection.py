@@ -40,6 +40,12 @@ PLANNING_STAGES = frozenset(
 )
 """What the paper's planning time is made of: everything between the mesh and the finished trajectory."""
 
+
+def is_planning(step_name: str) -> bool:
+    """Whether a step counts as planning: the cloud on which the result is judged does not."""
+    return step_name.split()[0] in PLANNING_STAGES and step_name != "sample_surface verification"
+
+
 _WATCHER: ContextVar[Watcher | None] = ContextVar("inspection_watcher", default=None)
 
 

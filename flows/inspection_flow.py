@@ -22,5 +22,5 @@ def inspect(request: InspectionRequest, lake: str, refresh: list[str] | None = N
     create_table_artifact(result.coverage_rows(), key="inspection-coverage", description="Coverage by cause")
     for name, picture in result.pictures().items():
         data = base64.b64encode(picture).decode()
-        create_image_artifact(f"data:image/png;base64,{data}", key=f"inspection-{name}", description=name)
+        create_image_artifact(f"data:image/png;base64,{data}", key=f"inspection-figure-{name}", description=name)
     return result

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from collections import Counter
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
@@ -20,7 +21,9 @@ if TYPE_CHECKING:
 _MOST_FACT_LETTERS = 200
 
 
-def run(action: str, url: str, *, subject: str | None, delete: bool, as_json: bool) -> int:
+def run(
+    action: str, url: str, *, subject: str | None, delete: bool, as_json: bool, keep_runs: int | None = None
+) -> int:
     """Run one of the ``lake`` commands and return its exit code.
 
     Raises:
@@ -40,7 +43,7 @@ def run(action: str, url: str, *, subject: str | None, delete: bool, as_json: bo
         return _sql(lake, str(subject), as_json)
     if action == "verify":
         return _verify(lake, as_json)
-    return _gc(lake, delete, as_json)
+    return _gc(lake, delete, keep_runs, as_json)
 
 
 def _ls(lake: Lake, as_json: bool) -> int:
@@ -48,7 +51,7 @@ def _ls(lake: Lake, as_json: bool) -> int:
     if as_json:
         write_json(rows)
     elif not rows:
-        sys.stdout.write(f"the lake {lake.url} is empty\n")
+        sys.stdout.write(f"{lake.emptiness()}\n")
     else:
         table = _table("artefact", "stage", "made at (UTC)", "took", "size")
         for row in rows:
@@ -74,6 +77,7 @@ def _show(lake: Lake, subject: str, as_json: bool) -> int:
         "columns": list(_columns(artefact)),
         "facts": _facts(artefact),
         "causes": _causes(artefact),
+        "collisions": _collisions(artefact),
         "files": lake.paths(ref),
     }
     if as_json:
@@ -102,6 +106,8 @@ def _show(lake: Lake, subject: str, as_json: bool) -> int:
         for cause, count in counts.items():
             causes.add_row(cause, str(count))
         print_table(causes)
+    for body, count in _collisions(artefact).items():
+        sys.stdout.write(f"collision with {body}: {count}\n")
     return 0
 
 
@@ -156,12 +162,13 @@ def _verify(lake: Lake, as_json: bool) -> int:
     return LakeError.exit_code if problems else 0
 
 
-def _gc(lake: Lake, delete: bool, as_json: bool) -> int:
-    swept = lake.gc(dry_run=not delete)
+def _gc(lake: Lake, delete: bool, keep_runs: int | None, as_json: bool) -> int:
+    swept = lake.gc(dry_run=not delete, keep_runs=keep_runs)
     if as_json:
         write_json(
             {
                 "deleted": not swept.dry,
+                "forgotten_runs": list(swept.forgotten_runs),
                 "files": swept.removed,
                 "bytes": swept.n_bytes,
                 "kept_files": swept.kept_files,
@@ -174,6 +181,10 @@ def _gc(lake: Lake, delete: bool, as_json: bool) -> int:
     sys.stdout.write(f"{swept}\n")
     if swept.dry and swept.removed:
         sys.stdout.write("nothing was deleted: add --yes to delete it\n")
+    if keep_runs is None and (n_runs := len(lake.runs())):
+        sys.stdout.write(
+            f"recorded runs that keep what they used: {n_runs}; --keep-runs N forgets all but the newest N\n"
+        )
     return 0
 
 
@@ -234,6 +245,18 @@ def _causes(artefact: Artefact) -> dict[str, dict[str, int]]:
                 Cause(code).label: int(count) for code, count in zip(codes, counts, strict=True)
             }
     return counted
+
+
+def _collisions(artefact: Artefact) -> dict[str, int]:
+    """Count the rows that a body stopped by the body's name, the most first; empty where no bodies are told."""
+    from schemas.artefact import columns
+
+    if not {"blocked_by", "body"} <= columns(type(artefact)).keys():
+        return {}
+    names: tuple[str, ...] = getattr(artefact, "body")  # noqa: B009  # only some classes have it
+    rows: list[int] = getattr(artefact, "blocked_by").tolist()  # noqa: B009
+    counts = Counter(names[row] for row in rows if row >= 0)
+    return dict(sorted(counts.items(), key=lambda item: (-item[1], item[0])))
 
 
 def _table(*columns: str) -> Table:

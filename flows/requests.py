@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -36,6 +37,9 @@ from tasks.write_report import ReportParams
 
 _SEED_STEP = 1_000_003
 """Apart the seeds of the three clouds, so that none of them repeats another's random numbers."""
+
+_FEWEST_SAMPLES = 50
+"""So that a part of a few millimetres has candidates on each of its faces, whatever the density says."""
 
 
 class InspectionRequest(BaseModel):
@@ -105,13 +109,19 @@ def _request(file: CellFile) -> InspectionRequest:
             up_part=file.part.up_part(),
             critical_angle_rad=planner.sampling.critical_angle_rad,
         ),
-        samples=SurfaceParams(method=planner.sampling.method, density_per_m2=density, seed=planner.seed),
+        samples=SurfaceParams(
+            method=planner.sampling.method, density_per_m2=density, at_least=_FEWEST_SAMPLES, seed=planner.seed
+        ),
         refinement_cloud=SurfaceParams(
-            density_per_m2=planner.refinement.density_factor * density, seed=planner.seed + _SEED_STEP
+            density_per_m2=planner.refinement.density_factor * density,
+            at_least=math.ceil(planner.refinement.density_factor * _FEWEST_SAMPLES),
+            seed=planner.seed + _SEED_STEP,
         ),
         refinement_rounds=planner.refinement.rounds,
         verification_cloud=SurfaceParams(
-            density_per_m2=planner.verification_cloud.density_factor * density, seed=planner.seed + 2 * _SEED_STEP
+            density_per_m2=planner.verification_cloud.density_factor * density,
+            at_least=math.ceil(planner.verification_cloud.density_factor * _FEWEST_SAMPLES),
+            seed=planner.seed + 2 * _SEED_STEP,
         ),
         viewpoints=ViewpointParams(
             standoff_m=planner.viewpoints.standoffs_m(sensing.scanner),
@@ -149,7 +159,11 @@ def _request(file: CellFile) -> InspectionRequest:
             scan_speed_m_s=reach.scan_speed_m_s,
             seed=planner.seed,
         ),
-        verification=VerifyParams(scan_speed_m_s=reach.scan_speed_m_s),
+        verification=VerifyParams(
+            scan_speed_m_s=reach.scan_speed_m_s,
+            tool_acceleration_m_s2=planner.stitching.tool_acceleration_m_s2,
+            return_to_start=planner.stitching.return_to_start,
+        ),
         scan=ScanParams(**shared, noise=planner.scan.noise, seed=planner.seed),
         coverage=CoverageParams(**shared, radius_m=planner.scan.coverage_radius_m),
         report=ReportParams(

@@ -112,11 +112,12 @@ def connected(say: Say) -> Iterator[str]:
     runs are handed over completely.
 
     Raises:
-        ServerError: If no server can be started or reached.
+        ServerError: If no server can be started or reached, or it goes away meanwhile.
     """
     prepare_environment()
     _make_home(state_home())  # Prefect warns if it cannot make its own folder, also when the server is elsewhere
     url = start(say).api_url
+    import httpx
     from prefect.events.worker import EventsWorker
     from prefect.logging.handlers import APILogWorker
     from prefect.settings import (
@@ -135,6 +136,11 @@ def connected(say: Say) -> Iterator[str]:
         _require_answer(url)
         try:
             yield url
+        except httpx.TransportError as error:
+            raise ServerError(
+                f"the Prefect server at {url} stopped answering during the run ({error}): run again, what was "
+                "finished is in the lake; --direct runs without it"
+            ) from error
         finally:
             EventsWorker.drain_all()
             APILogWorker.drain_all()

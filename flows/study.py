@@ -17,6 +17,7 @@ from cellwright.errors import InfeasibleError, SolverError
 from flows.examples import find_cell_file
 from flows.execution import REFRESHED, Watcher
 from flows.result_folder import prepare_folder, write_files
+from schemas.inspection_summary import METRICS
 from schemas.study_file import GridPoint, StudyFile, grid, load_study_file
 
 if TYPE_CHECKING:
@@ -103,7 +104,10 @@ def run(
             watcher.started(name)
             begun = time.monotonic()
             rows.append(_row(cell, point, lake, refresh, watcher, direct))
-            watcher.finished(name, cached=False, seconds=time.monotonic() - begun)
+            if rows[-1]["error"]:
+                watcher.failed(name)
+            else:
+                watcher.finished(name, cached=False, seconds=time.monotonic() - begun)
     finally:
         REFRESHED.reset(token)
     return StudyResult(study, rows, _write(study, rows, folder))
@@ -126,9 +130,9 @@ def _row(
         )
     except (InfeasibleError, SolverError) as error:
         return {**row, "error": str(error)}
-    figures = {name: value for name, value in result.summary.items() if isinstance(value, int | float | str)}
+    figures = {name: value for name, value in result.summary.items() if name in METRICS or isinstance(value, str)}
     seconds = result.computing_seconds()
-    planning = sum(spent for name, spent in seconds.items() if name.split()[0] in inspection.PLANNING_STAGES)
+    planning = sum(spent for name, spent in seconds.items() if inspection.is_planning(name))
     return {**row, **figures, "planning_s": planning, **{f"{name} [s]": spent for name, spent in seconds.items()}}
 
 

@@ -51,7 +51,9 @@ Standoff = Annotated[float | Literal["min", "best", "max"], BeforeValidator(_sta
 class SamplingSection(Section):
     """Where is the surface sampled?"""
 
-    density_per_m2: Density = Field(default=0.005e6, alias="density", description="Samples on an area.")
+    density_per_m2: Density = Field(
+        default=0.005e6, alias="density", description="Samples on an area, at least 50 in all."
+    )
     method: Literal["blue-noise", "random"] = Field(
         default="blue-noise", description="Evenly spaced samples, or independent ones as in the paper."
     )

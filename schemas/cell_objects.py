@@ -10,6 +10,7 @@ import numpy as np
 from cellwright.arrays import FloatArray, Int32Array
 from cellwright.cell.bodies import Body, Box, Capsule, Cylinder, Mesh, Shape, Sphere
 from cellwright.cell.cell import PART, Cell
+from cellwright.cell.ignored_pairs import Reason
 from cellwright.cell.robot import Robot
 from cellwright.errors import InvalidInputError
 from schemas.part import PartMesh
@@ -43,6 +44,7 @@ def build_cell(
         T_world_base=model.T_world_base.copy(),
         T_flange_scanner=model.T_flange_scanner.copy(),
         start=model.start_rad.copy(),
+        never_touching=model.ignored_pair[model.ignored_reason == Reason.NEVER_TOUCHING],
     )
     if part_mesh is None:
         return cell

@@ -6,7 +6,9 @@ paper published for some of the points can stand beside the results.
 
 from __future__ import annotations
 
+import difflib
 import itertools
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -18,9 +20,14 @@ from cellwright.errors import InvalidInputError, listed
 from schemas.cell_file_document import read_document
 from schemas.cell_file_fields import Section
 from schemas.cell_file_messages import faults_of, refusal
+from schemas.inspection_summary import METRICS
 
 Settings = dict[str, Any]
 """Cell-file settings by their path: ``{planner.sampling.density: 0.005 /mm^2}``."""
+
+
+COLUMNS = METRICS | {"planning_s", "cover_method", "order", "verified_by", "error"}
+"""Columns of a study's table beside those of the axes; each stage adds ``STAGE [s]``, its seconds."""
 
 
 class FigureSection(Section):
@@ -82,17 +89,47 @@ def load_study_file(path: Path) -> StudyFile:
         study = StudyFile.model_validate({**document.data, "__path__": path})
     except ValidationError as error:
         raise refusal(document, faults_of(error, StudyFile, document)) from error
+    for fault in _disagreements(study):
+        raise InvalidInputError(f"study file {path}: {fault}")
+    return study
+
+
+def _disagreements(study: StudyFile) -> Iterator[str]:
+    """Find values that are sound by themselves but do not go together."""
     for axis, points in study.axes.items():
         if not points:
-            raise InvalidInputError(f"study file {path}: axes.{axis} has no points: add one or remove the axis")
+            yield f"axes.{axis} has no points: add one or remove the axis"
+        if axis in COLUMNS:
+            yield f"axes.{axis} is named like a column of the table: choose another name"
     for figure in study.figures:
         for role, named in (("x", figure.x), ("lines", figure.lines), ("panels", figure.panels)):
             if named is not None and named not in study.axes:
-                raise InvalidInputError(
-                    f"study file {path}: figure {figure.title!r} has {role}: {named}, "
-                    f"which is no axis: use one of {listed(study.axes)}"
+                yield f"figure {figure.title!r} has {role}: {named}, which is no axis: use one of {_all(study.axes)}"
+        if not _is_column(figure.y):
+            yield f"figure {figure.title!r} has y: {figure.y}, which is no column: {_nearest(figure.y)}"
+    for number, row in enumerate(study.published):
+        for name, value in row.items():
+            if name in study.axes and str(value) not in study.axes[name]:
+                yield (
+                    f"published.{number}.{name}: {value} is no point of that axis: use one of {_all(study.axes[name])}"
                 )
-    return study
+            if name not in study.axes and not _is_column(name):
+                yield f"published.{number}.{name} is neither an axis nor a column: {_nearest(name)}"
+            if name not in study.axes and (isinstance(value, bool) or not isinstance(value, int | float)):
+                yield f"published.{number}.{name}: {value!r} is no number: write one"
+
+
+def _is_column(name: str) -> bool:
+    return name in COLUMNS - {"error"} or name.endswith(" [s]")
+
+
+def _nearest(name: str) -> str:
+    near = difflib.get_close_matches(name, COLUMNS - {"error"}, n=1)
+    return f"did you mean {near[0]}?" if near else f"use one of {_all(sorted(COLUMNS - {'error'}))} or STAGE [s]"
+
+
+def _all(names: Iterable[str]) -> str:
+    return listed(names, most=40)
 
 
 def grid(study: StudyFile) -> list[GridPoint]:

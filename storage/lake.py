@@ -89,8 +89,9 @@ class Lake:
     def load(self, ref: Ref) -> Artefact:
         """Read an artefact, checking every file's SHA-256, units and frames, and the digest of the content.
 
-        If something does not match, the manifest is set aside under ``damaged/``, so that the next run does not
-        find the artefact and makes it anew.
+        If something is missing or does not match, the manifest is set aside under ``damaged/``, so that the next
+        run does not find the artefact and makes it anew. A read that fails (disk, network, too many open files)
+        says nothing about the content: it is raised, and the next `load` may succeed.
 
         Raises:
             LakeError: If the artefact is missing, unreadable or not what its manifest says.
@@ -104,8 +105,9 @@ class Lake:
         kind = known_class(manifest.kind)
         if manifest.schema != fingerprint(kind):
             raise LakeError(f"{ref} was written under other declarations of {kind.__name__}: run again to make it anew")
+        read = {name: self._read_file(manifest, name) for name in manifest.files}
         try:
-            files = {name: self._checked_file(manifest, name) for name in manifest.files}
+            files = {name: self._checked_file(manifest, name, content) for name, content in read.items()}
             artefact = format_of(kind).decode(kind, files)
             found = digest(artefact)
             if found != manifest.digest:
@@ -230,9 +232,21 @@ class Lake:
         """Check every hash, see `storage.upkeep.verify`."""
         return upkeep.verify(self, progress)
 
-    def gc(self, older_than_s: float = upkeep.DAY_S, dry_run: bool = True) -> upkeep.Sweep:
+    def gc(
+        self, older_than_s: float = upkeep.DAY_S, dry_run: bool = True, keep_runs: int | None = None
+    ) -> upkeep.Sweep:
         """Remove what nothing reaches, see `storage.upkeep.sweep`."""
-        return upkeep.sweep(self, older_than_s, dry_run)
+        return upkeep.sweep(self, older_than_s, dry_run, keep_runs)
+
+    def emptiness(self) -> str:
+        """Say why a lake without artefacts has none, and what to do about it."""
+        if self.place.walk("manifests"):
+            return f"the lake {self.url} holds nothing readable: `cellwright lake verify` names what is wrong"
+        fact = "is empty" if self.place.exists() else "is empty, it does not even exist yet"
+        return (
+            f"the lake {self.url} {fact}: fill it with `cellwright inspect CELL.yaml`, "
+            "or name another with --lake or CELLWRIGHT_LAKE"
+        )
 
     def query(self, sql: str) -> Any:
         """Answer SQL over the lake's tables as a ``pyarrow.Table``, see `storage.query.query`."""
@@ -240,17 +254,21 @@ class Lake:
 
         return query(self, sql)
 
-    def _checked_file(self, manifest: Manifest, name: str) -> bytes:
-        path = f"{manifest.folder}/{name}"
-        entry = manifest.files[name]
+    def _read_file(self, manifest: Manifest, name: str) -> bytes | None:
         for _ in range(2):  # a second look tells a damaged file from one that was being replaced
-            content = self.place.read(path)
-            if content is not None and FileEntry.of(content) == entry:
-                return content
-        address = self.place.address(path)
+            content = self.place.read(f"{manifest.folder}/{name}")
+            if content is not None and FileEntry.of(content) == manifest.files[name]:
+                break
+        return content
+
+    def _checked_file(self, manifest: Manifest, name: str, content: bytes | None) -> bytes:
+        address = self.place.address(f"{manifest.folder}/{name}")
+        entry = manifest.files[name]
         if content is None:
             raise LakeError(f"{address} is missing")
-        raise LakeError(f"{address} ({len(content)} bytes, manifest: {entry.size}) does not match its SHA-256")
+        if FileEntry.of(content) != entry:
+            raise LakeError(f"{address} ({len(content)} bytes, manifest: {entry.size}) does not match its SHA-256")
+        return content
 
     def _damaged(self, manifest: Manifest, fact: LakeError) -> LakeError:
         try:

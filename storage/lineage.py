@@ -101,7 +101,7 @@ def resolve(lake: Lake, text: str) -> Ref:
         raise InvalidInputError(f"{text!r} means several artefacts: {shown}: give more digits")
     kinds = sorted({manifest.kind for manifest in everything})
     if not kinds:
-        raise InvalidInputError(f"no artefact {text!r}: the lake {lake.url} is empty")
+        raise InvalidInputError(f"no artefact {text!r}: {lake.emptiness()}")
     near = difflib.get_close_matches(kind or text, kinds, n=3)
     hint = f"did you mean {listed(near)}?" if near else f"kinds in the lake: {listed(kinds, 12)}"
     raise InvalidInputError(f"no artefact {text!r} in {lake.url}: {hint}")

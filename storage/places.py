@@ -43,6 +43,9 @@ class Place(Protocol):
     def address(self, path: str) -> str:
         """Return the full path or URL of a file."""
 
+    def exists(self) -> bool:
+        """Whether the place is there; nothing makes it before something is written."""
+
     def read(self, path: str) -> bytes | None:
         """Return a file's bytes, or ``None`` if there is none.
 
@@ -110,6 +113,10 @@ class LocalFolder:
     def address(self, path: str) -> str:
         """Return the full path of a file."""
         return str(self._root / path)
+
+    def exists(self) -> bool:
+        """Whether the folder is there."""
+        return self._root.is_dir()
 
     def read(self, path: str) -> bytes | None:
         """Return a file's bytes, or ``None`` if there is none."""
@@ -201,7 +208,7 @@ class LocalFolder:
             free = _free_bytes(self._root)
             return (
                 f"{fact} ({n_bytes / 1e6:.1f} MB to write, {free / 1e6:.1f} MB free): free some space, "
-                "for instance with `cellwright lake gc`, or choose another lake with --lake"
+                "for instance with `cellwright lake gc --keep-runs 5 --yes`, or choose another lake with --lake"
             )
         if error.errno in (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOENT):
             return f"{fact}: make the folder writable for this user or choose another lake with --lake"
@@ -249,6 +256,11 @@ class ObjectStore:
     def address(self, path: str) -> str:
         """Return the URL of a file."""
         return f"{self.url}/{path}"
+
+    def exists(self) -> bool:
+        """Whether anything is stored under the address."""
+        with self._telling("list", ""):
+            return bool(self._files.exists(self._root))
 
     def read(self, path: str) -> bytes | None:
         """Return an object's bytes, or ``None`` if there is none."""

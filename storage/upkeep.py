@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -42,12 +42,14 @@ class Sweep:
         kept_files: How many files of data stay.
         dry: Whether nothing was really removed.
         notes: What kept the sweep from taking more, in words.
+        forgotten_runs: Ids of the runs whose records are among the files, the newest first.
     """
 
     removed: dict[str, int]
     kept_files: int
     dry: bool
     notes: tuple[str, ...]
+    forgotten_runs: tuple[str, ...] = ()
 
     @property
     def n_bytes(self) -> int:
@@ -57,6 +59,9 @@ class Sweep:
     def __str__(self) -> str:
         doing = "would remove" if self.dry else "removed"
         text = f"{doing} {len(self.removed)} files, {self.n_bytes / 1e6:.1f} MB; {self.kept_files} files of data stay"
+        if self.forgotten_runs:
+            n_runs = len(self.forgotten_runs)
+            text = f"{'would forget' if self.dry else 'forgot'} {n_runs} run{'s' if n_runs > 1 else ''}, {text}"
         return "; ".join([text, *self.notes])
 
 
@@ -138,77 +143,147 @@ def _digest_problem(manifest: Manifest, files: dict[str, bytes]) -> str | None:
     return None if found == manifest.digest else f"holds a content of digest {found[:12]}, not {manifest.digest[:12]}"
 
 
-def sweep(lake: Lake, older_than_s: float = DAY_S, dry_run: bool = True, now_s: float | None = None) -> Sweep:
+def sweep(
+    lake: Lake,
+    older_than_s: float = DAY_S,
+    dry_run: bool = True,
+    keep_runs: int | None = None,
+    now_s: float | None = None,
+) -> Sweep:
     """Remove what nothing reaches: data that no manifest names, scratch and manifests set aside that are old.
 
     Where runs are recorded, also the manifests that no run and no lineage of a run's artefacts reaches, with
-    their data. While a manifest cannot be understood all data stays, for nobody knows what it names.
+    their data. While a manifest cannot be understood all data stays, for nobody knows what it names; while a
+    run's record cannot, all manifests.
+
+    Every age is looked at again right before its file goes, and the manifests are listed again before data does,
+    so that what a run has found or published meanwhile stays.
 
     Args:
         lake: The lake.
         older_than_s: Least age of what goes, in seconds; a day or more.
         dry_run: Say what would go, remove nothing.
+        keep_runs: Forget all recorded runs but the newest so many, where they are old enough; ``None``: forget none.
         now_s: The present, seconds since 1970; the clock's by default.
 
     Raises:
-        InvalidInputError: If the age is less than a day.
+        InvalidInputError: If the age is less than a day, or no run would be kept.
         LakeError: If the lake cannot be read or written.
     """
     if not older_than_s >= DAY_S:
         raise InvalidInputError(f"older_than_s is {older_than_s:g}, but nothing younger than {DAY_S:g} s may be swept")
+    if keep_runs is not None and keep_runs < 1:
+        raise InvalidInputError(f"{keep_runs} runs to keep, but at least 1 must stay: to empty a lake, delete it")
     place = lake.place
-    latest_s = (time.time() if now_s is None else now_s) - older_than_s
-    going: dict[str, FileState] = {}
+    broom = _Broom(place, (time.time() if now_s is None else now_s) - older_than_s, dry_run)
+    if keep_runs is not None:
+        _forget_runs(lake, keep_runs, broom)
+    forgotten = tuple(path.removeprefix("runs/").removesuffix(".json") for path in broom.taken)
     for folder in (SCRATCH, "damaged"):
-        going |= _old(place.walk(folder), latest_s)
-    read = {path: (state, read_manifest(place, path)) for path, state in place.walk("manifests").items()}
-    valid = {path: found for path, (_, found) in read.items() if isinstance(found, Manifest)}
-    unreadable = [found for _, found in read.values() if isinstance(found, Problem)]
-    reached = _reached(lake, list(valid.values()))
-    unreached = {
-        path: read[path][0] for path, found in valid.items() if reached is not None and found.key not in reached
-    }
-    gone = _old(unreached, latest_s)
-    named = {(found.folder, name) for path, found in valid.items() if path not in gone for name in found.files}
+        broom.take(place.walk(folder))
+    read = _read_manifests(place, {})
+    reached, riddle = _reached(lake, [found for _, found in read.values() if isinstance(found, Manifest)], broom)
+    if reached is not None:
+        broom.take(
+            {
+                path: state
+                for path, (state, found) in read.items()
+                if isinstance(found, Manifest) and found.key not in reached
+            }
+        )
     data = place.walk("data")
+    standing = {path: found for path, (_, found) in _read_manifests(place, read).items() if not broom.would_take(path)}
+    unreadable = [found for found in standing.values() if isinstance(found, Problem)]
+    n_kept = len(data)
     if not unreadable:
-        # a folder goes whole: its youngest file tells its age
-        youngest: dict[str, float] = {}
-        for path, state in data.items():
-            folder = path.rpartition("/")[0]
-            youngest[folder] = max(youngest.get(folder, 0.0), state.changed_s)
-        going_data = {
-            path: state
-            for path, state in data.items()
-            if (path.rpartition("/")[0], path.rpartition("/")[2]) not in named
-            and youngest[path.rpartition("/")[0]] <= latest_s
-        }
-    else:
-        going_data = {}
-    kept_keys = {found.key for path, found in valid.items() if path not in gone}
-    records = {
-        path: state
-        for path, state in _old(place.walk("provenance"), latest_s).items()
-        if path.rpartition("/")[2].removesuffix(".json") not in kept_keys
+        valid = [found for found in standing.values() if isinstance(found, Manifest)]
+        n_kept -= _take_data(data, {f"{found.folder}/{name}" for found in valid for name in found.files}, broom)
+        kept_keys = {found.key for found in valid}
+        broom.take({path: state for path, state in place.walk("provenance").items() if _key(path) not in kept_keys})
+    notes = [f"no data was taken because a manifest is unreadable: {problem}" for problem in unreadable[:1]]
+    return Sweep(broom.taken, n_kept, dry_run, (*riddle, *notes), forgotten)
+
+
+class _Broom:
+    """Takes files that were old when they were listed and are still old; a dry one only notes them."""
+
+    def __init__(self, place: Place, latest_s: float, dry: bool) -> None:
+        self.place = place
+        self.latest_s = latest_s
+        self.dry = dry
+        self.taken: dict[str, int] = {}
+
+    def is_old(self, state: FileState | None) -> bool:
+        return state is not None and state.changed_s <= self.latest_s
+
+    def would_take(self, path: str) -> bool:
+        """Whether a file stands only because the broom is dry."""
+        return self.dry and path in self.taken
+
+    def take(self, files: Mapping[str, FileState]) -> None:
+        for path, state in files.items():
+            if not self.is_old(state):
+                continue
+            if not self.dry:
+                if not self.is_old(self.place.state(path)):
+                    continue  # somebody has found or written it since it was listed
+                self.place.remove(path)
+            self.taken[path] = state.size
+
+
+def _forget_runs(lake: Lake, keep_runs: int, broom: _Broom) -> None:
+    states = lake.place.walk("runs")
+    paths = [_run_path(record) for record in lake.runs()[keep_runs:]]
+    broom.take({path: states[path] for path in paths if path in states})
+
+
+def _run_path(record: Mapping[str, Any]) -> str:
+    return f"runs/{record.get('run_id')}.json"
+
+
+def _take_data(data: Mapping[str, FileState], named: set[str], broom: _Broom) -> int:
+    """Take the files that no manifest names and return how many; a folder's youngest file tells its age."""
+    folders: dict[str, dict[str, FileState]] = {}
+    for path, state in data.items():
+        folders.setdefault(path.rpartition("/")[0], {})[path] = state
+    n_before = len(broom.taken)
+    for folder, files in folders.items():
+        going = {path: state for path, state in files.items() if path not in named}
+        if not going or not all(broom.is_old(state) for state in files.values()):
+            continue
+        if broom.dry or all(broom.is_old(state) for state in broom.place.walk(folder).values()):
+            broom.take(going)
+    return len(broom.taken) - n_before
+
+
+def _read_manifests(
+    place: Place, before: Mapping[str, tuple[FileState, Manifest | Problem | None]]
+) -> dict[str, tuple[FileState, Manifest | Problem | None]]:
+    """Read all manifests; those that are as they were before are not read again."""
+    return {
+        path: before[path] if path in before and before[path][0] == state else (state, read_manifest(place, path))
+        for path, state in place.walk("manifests").items()
     }
-    going |= gone | going_data | (records if not unreadable else {})
-    if not dry_run:
-        # manifests first, so that none is left without its data
-        for path in [*gone, *(path for path in going if path not in gone)]:
-            place.remove(path)
-    notes = tuple(f"no data was taken because a manifest is unreadable: {problem}" for problem in unreadable[:1])
-    return Sweep({path: state.size for path, state in going.items()}, len(data) - len(going_data), dry_run, notes)
 
 
-def _old(files: dict[str, FileState], latest_s: float) -> dict[str, FileState]:
-    return {path: state for path, state in files.items() if state.changed_s <= latest_s}
+def _key(path: str) -> str:
+    return path.rpartition("/")[2].removesuffix(".json")
 
 
-def _reached(lake: Lake, manifests: list[Manifest]) -> set[str] | None:
-    """Return the keys that a recorded run reaches, itself or through lineage; ``None`` if no run is recorded."""
-    runs = lake.runs()
+def _reached(lake: Lake, manifests: list[Manifest], broom: _Broom) -> tuple[set[str] | None, list[str]]:
+    """Return the keys that a recorded run reaches, itself or through lineage, and what is in the way.
+
+    ``None`` if no run is recorded, or a record cannot be read: then every manifest stays.
+    """
+    states = lake.place.walk("runs")
+    everything = lake.runs()
+    unreadable = sorted(states.keys() - {_run_path(record) for record in everything})
+    if unreadable:
+        address = lake.place.address(unreadable[0])
+        return None, [f"no result was taken because a run's record is unreadable: {address}: delete it"]
+    runs = [record for record in everything if not broom.would_take(_run_path(record))]
     if not runs:
-        return None
+        return None, []
     makers: dict[str, list[Manifest]] = {}
     for manifest in manifests:
         makers.setdefault(manifest.digest, []).append(manifest)
@@ -220,7 +295,7 @@ def _reached(lake: Lake, manifests: list[Manifest]) -> set[str] | None:
             if manifest.key not in reached:
                 reached.add(manifest.key)
                 open_hashes += [digest for _, digest in manifest.about.input_digests()]
-    return reached
+    return reached, []
 
 
 def _hashes(value: Any) -> Iterator[str]:

@@ -13,9 +13,12 @@ from schemas.stage import stage
 from schemas.views import Viewpoints
 
 _THIRD = math.radians(120.0)
-_TILT = math.radians(30.0)
-_MOST_CANDIDATES = 2_000_000
-"""Eighty times those of the paper's finest sampling; more need over 2 GB and hours."""
+_TILT = math.radians(45.0)
+_STRIP_M2 = 0.1
+"""What one sweep sees at most: a laser line of 0.1 m along a part of 1 m."""
+_MOST_MEASUREMENTS = 200_000_000
+"""Pairs of sweep and sample; twice those of half a million samples a square metre on a plate as large as a page,
+which take 3 GB and minutes."""
 
 
 class ViewpointParams(Params):
@@ -61,17 +64,7 @@ def sample_viewpoints(samples: SurfaceSamples, *, params: ViewpointParams) -> Vi
     from cellwright.solvers.viewpoints import TiltGrid, candidate_poses
 
     grid = TiltGrid(params.standoff_m, params.delta_rot_rad, params.theta_tilt_rad, params.psi_tilt_rad)
-    n_samples, n_directions = (
-        len(samples.points_m),
-        math.prod(
-            len(each) for each in (params.standoff_m, params.delta_rot_rad, params.theta_tilt_rad, params.psi_tilt_rad)
-        ),
-    )
-    if n_samples * n_directions > _MOST_CANDIDATES:
-        raise InvalidInputError(
-            f"{n_samples} samples with {n_directions} tilts and standoffs each are {n_samples * n_directions} "
-            f"candidates but at most {_MOST_CANDIDATES} can be handled: lower the sampling density or leave out tilts"
-        )
+    _check_number(samples, len(grid.combinations()))
     poses = candidate_poses(samples.points_m, samples.normals, grid)
     return Viewpoints(
         sample=poses.sample,
@@ -82,3 +75,14 @@ def sample_viewpoints(samples: SurfaceSamples, *, params: ViewpointParams) -> Vi
         psi_tilt_rad=poses.tilt[:, 3],
         standoff_m=poses.tilt[:, 0],
     )
+
+
+def _check_number(samples: SurfaceSamples, n_directions: int) -> None:
+    n_samples = len(samples.points_m)
+    n_measurements = n_samples * n_directions * min(n_samples, math.ceil(_STRIP_M2 * samples.density_per_m2))
+    if n_measurements > _MOST_MEASUREMENTS:
+        raise InvalidInputError(
+            f"{n_samples} samples with {n_directions} tilts and standoffs each are {n_samples * n_directions} "
+            f"candidate sweeps and up to {n_measurements:.2g} measurements, but at most {_MOST_MEASUREMENTS:.2g} can "
+            "be handled: lower planner.sampling.density or leave out tilts"
+        )

@@ -25,6 +25,8 @@ class VerifyParams(Params):
 
     T_world_part: Pose = Field(default=Pose(), description="Pose of the part in the world.")
     scan_speed_m_s: float = Field(default=0.1, gt=0, description="Speed that the scanner may have on a sweep.")
+    tool_acceleration_m_s2: float = Field(default=1.0, gt=0, description="Acceleration that the scanner may have.")
+    return_to_start: bool = Field(default=False, description="Whether the plan must end where it starts.")
     step_m: float = Field(default=1e-3, gt=0, le=1e-3, description="Furthest motion of any point between states.")
     step_rad: float = Field(default=math.radians(0.1), gt=0, le=math.radians(0.1) * (1 + 1e-9))
     position_tolerance_m: float = Field(default=2e-4, gt=0, description="Scanner off its planned sweep.")
@@ -32,7 +34,7 @@ class VerifyParams(Params):
     limit_tolerance: float = Field(default=0.01, ge=0, lt=0.1, description="Share by which limits may be exceeded.")
 
 
-@stage(version=1)
+@stage(version=2)
 def verify_plan(
     cell: CellModel,
     mesh: PartMesh,
@@ -71,8 +73,15 @@ def verify_plan(
     )
     checks = verification.check_order(plan)
     verification.require(checks)
-    checks += verification.check_limits(plan, built, tolerances)
-    checks += verification.check_sweeps(plan, built, sweeps, params.scan_speed_m_s, tolerances)
+    checks += verification.check_limits(plan, built, tolerances, returns=params.return_to_start)
+    checks += verification.check_sweeps(
+        plan,
+        built,
+        sweeps,
+        params.scan_speed_m_s,
+        tolerances,
+        max_acceleration=params.tool_acceleration_m_s2,
+    )
     verification.require(checks)
     scene = VerificationScene(built)
     collisions, n_states = verification.check_collisions(plan, built, scene, tolerances, progress)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+
+import numpy as np
 
 from cellwright.arrays import FloatArray, Int32Array
 from cellwright.cell.bodies import WORLD, Body, Mesh
@@ -23,6 +25,8 @@ class Cell:
         T_world_base: Pose of the robot's base in the world, (4, 4).
         T_flange_scanner: Pose of the laser-emitter frame on the flange, (4, 4).
         start: Start configuration, (joints,) in rad.
+        never_touching: Those of ``ignored_pairs`` that no sampled configuration brought near each other, (pairs, 2):
+            samples prove nothing, so verification checks these pairs all the same.
     """
 
     robot: Robot
@@ -31,6 +35,7 @@ class Cell:
     T_world_base: FloatArray
     T_flange_scanner: FloatArray
     start: FloatArray
+    never_touching: Int32Array = field(default_factory=lambda: np.empty((0, 2), np.int32))
 
     def with_part(self, mesh: Mesh, T_world_part: FloatArray) -> Cell:
         """Return the cell with the workpiece standing in it, as the last body."""

@@ -43,36 +43,52 @@ _DIRECTIONS_DEG = [(-60, 28), (30, 28), (120, 28), (-150, -28)]
 _TALL = 0.8
 """Pictures whose width is a smaller share of their height than this stand in one row."""
 
+_TURN = 2.1
+"""Spacings that unit normals are stretched to."""
+
 
 def coverage_picture(
     vertices: FloatArray,
     faces: Int32Array,
     to_measure: BoolArray,
     points: FloatArray,
+    normals: FloatArray,
     cause: Int8Array,
     *,
     spacing: float,
+    two_sided: bool = False,
 ) -> bytes:
-    """Render the part from four sides, coloured by the nearest cloud point's cause, as PNG bytes.
+    """Render the part from four sides, coloured by the cause of the nearest cloud point on the same side, as PNG bytes.
 
     Args:
         vertices: Part vertices in m, (n, 3).
         faces: Its triangles, (m, 3).
         to_measure: Whether a face is to be measured, (m,).
         points: Cloud points in m, (k, 3).
+        normals: Their unit normals, (k, 3).
         cause: Their causes, (k,).
         spacing: Typical distance between cloud points in m; pixels further than four of it from any stay grey.
+        two_sided: Whether both sides of a face have cloud points: then the one that faces the camera is shown.
     """
     from scipy.spatial import cKDTree
 
-    tree = cKDTree(points)
+    # a normal turned by a right angle counts as far as three spacings: the two sides of thin walls keep apart
+    tree = cKDTree(np.hstack([points, _TURN * spacing * normals]))
+    corners = vertices[faces]
+    crosses = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    face_normals = crosses / np.maximum(np.linalg.norm(crosses, axis=1, keepdims=True), 1e-300)
     palette = np.array([rgb(CAUSE_COLOURS[cause]) for cause in Cause])
     views = []
     ways = [(math.radians(azimuth), math.radians(elevation)) for azimuth, elevation in _DIRECTIONS_DEG]
-    for hits in cast_pictures(vertices, faces, cameras_around(vertices, ways)):
+    cameras = cameras_around(vertices, ways)
+    for camera, hits in zip(cameras, cast_pictures(vertices, faces, cameras), strict=True):
         colours = np.tile(np.array(rgb(NOT_TO_MEASURE)), (*hits.hit.shape, 1))
         wanted = hits.hit & to_measure[hits.face]
-        distance, nearest = tree.query(hits.point[wanted], distance_upper_bound=4 * spacing)
+        seen = face_normals[hits.face[wanted]]
+        if two_sided:
+            seen = np.where((seen @ camera.axes()[2] < 0)[:, None], -seen, seen)
+        place = np.hstack([hits.point[wanted], _TURN * spacing * seen])
+        distance, nearest = tree.query(place, distance_upper_bound=4 * spacing)
         near = np.isfinite(distance)
         found = colours[wanted]
         found[near] = palette[cause[nearest[near]]]

@@ -55,18 +55,19 @@ def study_chart(
             wanted = {**({panels: panel} if panels else {}), **({lines: line} if lines else {})}
             _draw_line(drawn, rows, axes[x], wanted, x, y, factor, _COLOURS[index % len(_COLOURS)], line)
             _draw_published(drawn, published, axes[x], wanted, x, y, factor, _COLOURS[index % len(_COLOURS)])
-        drawn.set_xticks(range(len(axes[x])), list(axes[x]))
-        drawn.set_xlabel(x)
-        drawn.set_title(panel, fontsize=11)
+        drawn.set_xticks(range(len(axes[x])), [plain_text(point) for point in axes[x]])
+        drawn.set_xlim(-0.4, len(axes[x]) - 0.6)
+        drawn.set_xlabel(plain_text(x))
+        drawn.set_title(plain_text(panel), fontsize=11)
         drawn.spines[["top", "right"]].set_visible(False)
         drawn.grid(axis="y", color="#e3e7eb", linewidth=0.8)
-        if log:
+        if log and any(float(row.get(y) or 0) > 0 for row in rows):  # empty axes have no logarithm
             drawn.set_yscale("log")
-    first.set_ylabel(y_label)
-    handles, labels = first.get_legend_handles_labels()
+    first.set_ylabel(plain_text(y_label))
     if lines:
-        figure.legend(handles, labels, title=lines, loc="outside right upper", frameon=False)
-    figure.suptitle(title)
+        handles = [drawn for drawn in first.get_lines() if drawn.get_linestyle() != "None"]
+        figure.legend(handles=handles, title=plain_text(lines), loc="outside right upper", frameon=False)
+    figure.suptitle(plain_text(title))
     return png_bytes(figure)
 
 
@@ -94,7 +95,7 @@ def _draw_line(
             highs.append(max(values))
             means.append(float(np.mean(values)))
     drawn.fill_between(places, lows, highs, color=colour, alpha=0.15, linewidth=0)
-    drawn.plot(places, means, marker="o", markersize=5, color=colour, label=label)
+    drawn.plot(places, means, marker="o", markersize=5, color=colour, label=plain_text(label))
 
 
 def _draw_published(
@@ -114,5 +115,5 @@ def _draw_published(
         if any(axis in row and str(row[axis]) != name for axis, name in wanted.items()):
             continue
         place = list(points).index(str(row[x]))
-        drawn.plot(place, factor * float(row[y]), marker="D", markersize=9, markerfacecolor="none", color=colour)
+        drawn.plot(place, factor * float(row[y]), "D", markersize=9, markerfacecolor="none", color=colour)
         drawn.annotate("paper", (place, factor * float(row[y])), xytext=(8, 4), textcoords="offset points", fontsize=9)

@@ -32,11 +32,11 @@ class CandidatePieces:
 
     Attributes:
         sweeps: All candidates, unlimited.
-        view: Candidate of each piece, ascending, (pieces,).
+        view: Candidate of each piece, ascending, the best piece of a candidate first, (pieces,).
         start, end: Travel of each piece, (pieces,) in m.
         outcome: 0 if a candidate has a piece, else the `Cause`, (candidates,).
         blocked_by: Body that stopped a candidate, -1 none, (candidates,).
-        selected: Whether a candidate is executed, (candidates,).
+        selected: Whether a candidate's best piece is executed, (candidates,).
     """
 
     sweeps: Sweeps
@@ -111,15 +111,16 @@ def explain_misses(
 ) -> Misses:
     """Find out why points (points, 3) with unit normals (points, 3) were not measured.
 
-    A point on a selected piece was not scanned, one on another piece not selected. For the rest all candidates are
-    asked, whatever their travel: if none measures the point, the cause is the furthest test of the sensor model that
-    it reached; else the furthest that one of the measuring candidates came (its outcome, or too short if its pieces
-    end before the point).
+    A point on the best piece of a selected candidate, which is what a plan executes, was not scanned, one on any
+    other piece not selected. For the rest all candidates are asked, whatever their travel: if none measures the
+    point, the cause is the furthest test of the sensor model that it reached; else the furthest that one of the
+    measuring candidates came (its outcome, or too short if its pieces end before the point).
     """
     cause = np.full(len(points), Cause.NOT_SELECTED, np.int8)
     blocked_by = np.full(len(points), -1, np.int32)
     ask = partial(measured_by_any, scanner, max_uncertainty, occluder, n_threads=n_threads)
-    executed = np.flatnonzero(pieces.selected[pieces.view])
+    best = np.unique(pieces.view, return_index=True)[1]
+    executed = best[pieces.selected[pieces.view[best]]]
     planned = ask(points, normals, pieces.as_sweeps(executed))
     cause[planned] = Cause.NOT_SCANNED
     others = np.flatnonzero(~planned)

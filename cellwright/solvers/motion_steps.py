@@ -23,6 +23,9 @@ from cellwright.solvers.hermite import states_at, subdivide
 ROUNDS = 8
 """Cuts after the first one; a smooth motion needs one or two, as its intervals are cut in equal times."""
 
+ROUNDING = 1e-9
+"""Share by which steps stay below their bounds, so that rounding never takes one beyond."""
+
 
 class Motion(Protocol):
     """States that the cubic Hermite curve joins: time (states,) in s, the others (states, joints)."""
@@ -99,7 +102,7 @@ def dense_times(motion: Motion, corners: MovingCorners, *, step: float, step_ang
         share = np.maximum(corners.displacement(position) / step, turned / step_angle)
         if not np.all(np.isfinite(share)):
             break
-        parts = np.maximum(np.ceil(share - 1e-9), 1.0).astype(np.int64)
+        parts = np.maximum(np.ceil(share * (1.0 + ROUNDING)), 1.0).astype(np.int64)
         if np.all(parts == 1):
             return time
         time = subdivide(time, parts)

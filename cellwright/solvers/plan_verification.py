@@ -8,6 +8,7 @@ engine that is handed in, which is not the planner's. Every check says what was 
 
 from __future__ import annotations
 
+import heapq
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
@@ -25,6 +26,10 @@ from cellwright.solvers.planned_sweep import PlannedSweep
 SAME_TIME = 1e-9
 """Seconds within which two times are one."""
 STATES_PER_REPORT = 250
+DISTANCES = 400
+"""States at which distances are measured: each takes 1 to 3 ms."""
+ACCELERATION_WINDOW = 8e-3
+"""Seconds over which the scanner's acceleration is a mean: shorter ones would show rounding."""
 
 
 class StateChecker(Protocol):
@@ -32,6 +37,10 @@ class StateChecker(Protocol):
 
     def collision(self, q: FloatArray, /) -> tuple[str, str] | None:
         """Return the names of two bodies that touch at ``q`` (joints,) in rad, ``None`` if none do."""
+        ...
+
+    def distance(self, q: FloatArray, /) -> float:
+        """Return the smallest distance of two bodies at ``q`` in m."""
         ...
 
 
@@ -137,8 +146,11 @@ def check_order(plan: TimedPlan) -> list[Check]:
     ]
 
 
-def check_limits(plan: TimedPlan, cell: Cell, tolerances: Tolerances) -> list[Check]:
-    """Check start, rest, joint limits, speeds and accelerations: on the curve, as stated and by differences."""
+def check_limits(plan: TimedPlan, cell: Cell, tolerances: Tolerances, *, returns: bool = False) -> list[Check]:
+    """Check start, rest, joint limits, speeds and accelerations: on the curve, as stated and by differences.
+
+    With ``returns`` the plan must end where it starts.
+    """
     chain, start = cell.robot.chain, np.asarray(cell.start)
     low, high = position_extremes(plan.time, plan.position, plan.velocity)
     beyond = np.maximum(chain.lower - low, high - chain.upper)
@@ -157,9 +169,14 @@ def check_limits(plan: TimedPlan, cell: Cell, tolerances: Tolerances) -> list[Ch
         ("stated joint acceleration", np.abs(plan.acceleration) / force),
         ("joint acceleration by differences", np.abs(np.diff(plan.velocity, axis=0)) / dt / force),
     ]
+    at_end = [
+        Check("end off the start configuration", float(np.abs(plan.position[-1] - start).max()),
+              tolerances.joint_angle, "rad", _at(plan.time[-1:])),
+    ]  # fmt: skip
     return [
         Check("deviation from the start configuration", float(np.abs(plan.position[0] - start).max()),
               tolerances.joint_angle, "rad", "at 0.000 s"),
+        *(at_end if returns else []),
         Check("joint speed at start and end", float(at_rest.max()), tolerances.joint_angle, "rad/s"),
         _worst("overshoot of a joint limit", beyond, tolerances.joint_angle, "rad", plan.time),
         _worst("jump between segments", np.maximum(jumps, 0.0), 0.0, "rad", plan.time),
@@ -168,17 +185,32 @@ def check_limits(plan: TimedPlan, cell: Cell, tolerances: Tolerances) -> list[Ch
 
 
 def check_sweeps(
-    plan: TimedPlan, cell: Cell, sweeps: Sequence[PlannedSweep], max_speed: float, tolerances: Tolerances
+    plan: TimedPlan,
+    cell: Cell,
+    sweeps: Sequence[PlannedSweep],
+    max_speed: float,
+    tolerances: Tolerances,
+    *,
+    max_acceleration: float = np.inf,
 ) -> list[Check]:
-    """Check that every planned sweep is executed over its interval, straight, without turning, and not too fast."""
-    missing = [sweep.name for number, sweep in enumerate(sweeps) if number not in {s.sweep for s in plan.segments}]
-    checks = [Check("sweeps not executed", float(len(missing)), 0.0, "sweeps", listed(missing))]
+    """Check that every planned sweep is executed once, over its interval and no further, straight, without turning.
+
+    Speed and acceleration of the scanner must stay within ``max_speed`` m/s and ``max_acceleration`` m/s^2.
+    """
+    executed = [segment.sweep for segment in plan.segments]
+    missing = [sweep.name for number, sweep in enumerate(sweeps) if executed.count(number) == 0]
+    repeated = [sweep.name for number, sweep in enumerate(sweeps) if executed.count(number) > 1]
+    checks = [
+        Check("sweeps not executed", float(len(missing)), 0.0, "sweeps", listed(missing)),
+        Check("sweeps executed more than once", float(len(repeated)), 0.0, "sweeps", listed(repeated)),
+    ]
     corners = MovingCorners.of(cell)
+    limits = max_speed, max_acceleration
     worst: dict[str, Check] = {}
     for segment in plan.segments:
         if segment.sweep < 0:
             continue
-        for check in _check_sweep(plan, segment, sweeps[segment.sweep], cell, corners, max_speed, tolerances):
+        for check in _check_sweep(plan, segment, sweeps[segment.sweep], cell, corners, limits, tolerances):
             if check.name not in worst or not check.found <= worst[check.name].found:
                 worst[check.name] = check
     return checks + list(worst.values())
@@ -193,12 +225,12 @@ def check_collisions(
 ) -> tuple[list[Check], int]:
     """Check the whole plan for collisions in small steps; return the checks and the number of states checked.
 
-    It ends with the first collision.
+    It ends with the first collision; without one it looks for the state at which bodies are nearest.
     """
     corners = MovingCorners.of(cell)
     time = dense_times(plan, corners, step=tolerances.step, step_angle=tolerances.step_angle)
     position, _ = states_at(plan.time, plan.position, plan.velocity, time)
-    moved = float(corners.displacement(position).max())
+    moved = corners.displacement(position)
     turned = float(np.abs(np.diff(position, axis=0)).max())
     collisions, where = 0, ""
     for number, q in enumerate(position):
@@ -208,12 +240,49 @@ def check_collisions(
         if touching is not None:
             collisions, where = 1, f"{_at(time[number : number + 1])}: {touching[0]} touches {touching[1]}"
             break
-    progress(1.0)
-    return [
+    checks = [
         Check("colliding states", float(collisions), 0.0, "states", where),
-        Check("motion between checked states", moved, tolerances.step, "m"),
+        Check("motion between checked states", float(moved.max()), tolerances.step, "m"),
         Check("joint turn between checked states", turned, tolerances.step_angle, "rad"),
-    ], len(position)
+    ]
+    if collisions == 0:
+        distance, row = smallest_distance(position, moved, checker)
+        near = _at(time[row : row + 1])
+        checks.append(Check("overlap of the nearest bodies (below zero: distance)", -distance, 0.0, "m", near))
+    progress(1.0)
+    return checks, len(position)
+
+
+def smallest_distance(
+    position: FloatArray, moved: FloatArray, checker: StateChecker, most: int = DISTANCES
+) -> tuple[float, int]:
+    """Return the smallest distance in m of bodies at the states (states, joints), and the state that has it.
+
+    Between two states that are ``s`` m of motion apart (``moved`` (states - 1,) from each to the next) two bodies come
+    nearer by at most ``s`` than the mean of their distances at both. The stretch that could hold the smallest is
+    halved first, until none can or ``most`` states have been measured: then a smaller one may be left.
+    """
+    travelled = np.concatenate([[0.0], np.cumsum(moved)])
+    found: dict[int, float] = {}
+
+    def measured(row: int) -> float:
+        if row not in found:
+            found[row] = checker.distance(position[row])
+        return found[row]
+
+    def stretch(a: int, b: int) -> tuple[float, int, int]:
+        return 0.5 * (measured(a) + measured(b)) - float(travelled[b] - travelled[a]), a, b
+
+    open_stretches = [stretch(0, len(position) - 1)]
+    while open_stretches and len(found) < most and open_stretches[0][0] < min(found.values()):
+        _, a, b = heapq.heappop(open_stretches)
+        middle = int(np.clip(np.searchsorted(travelled, 0.5 * (travelled[a] + travelled[b])), a + 1, b - 1))
+        measured(middle)
+        for one, other in ((a, middle), (middle, b)):
+            if other - one > 1:
+                heapq.heappush(open_stretches, stretch(one, other))
+    nearest = min(found, key=lambda row: (found[row], row))
+    return found[nearest], nearest
 
 
 def _check_sweep(
@@ -222,7 +291,7 @@ def _check_sweep(
     sweep: PlannedSweep,
     cell: Cell,
     corners: MovingCorners,
-    max_speed: float,
+    limits: tuple[float, float],
     tolerances: Tolerances,
 ) -> list[Check]:
     rows = np.flatnonzero((plan.time >= segment.start - SAME_TIME) & (plan.time <= segment.end + SAME_TIME))
@@ -242,6 +311,9 @@ def _check_sweep(
     stated = np.abs(_scanner_in_sweep(cell, sweep, motion.position)[:, 0, 3] - motion.travel)
     first, last = sweep.interval
     lacking = max(travel.min() - first, last - travel.max(), 0.0)
+    beyond = np.maximum(np.maximum(first - travel, travel - last), 0.0)
+    acceleration, windows = _scanner_acceleration(cell, sweep, motion)
+    max_speed, max_acceleration = (limit * (1.0 + tolerances.limit_share) for limit in limits)
     where = f"in {sweep.name}"
 
     def worst(name: str, values: FloatArray, permitted: float, unit: str, times: FloatArray) -> Check:
@@ -253,9 +325,22 @@ def _check_sweep(
         worst("scanner turned off its planned orientation", turned, tolerances.angle, "rad", time),
         worst("scanner turning during a sweep", swung, tolerances.angle, "rad", time),
         worst("stated travel off the executed one", stated, tolerances.position, "m", motion.time),
-        worst("scanner speed on a sweep", speed, max_speed * (1.0 + tolerances.limit_share), "m/s", time),
+        worst("travel beyond the sweep interval", beyond, tolerances.position, "m", time),
+        worst("scanner speed on a sweep", speed, max_speed, "m/s", time),
+        worst("scanner acceleration on a sweep", acceleration, max_acceleration, "m/s^2", windows),
         Check("sweep interval not executed", float(lacking), tolerances.position, "m", where),
     ]
+
+
+def _scanner_acceleration(cell: Cell, sweep: PlannedSweep, motion: TimedPlan) -> tuple[FloatArray, FloatArray]:
+    """Return the scanner's mean accelerations (windows,) in m/s^2 over short windows, and when these start."""
+    duration = float(motion.time[-1] - motion.time[0])
+    time = np.linspace(motion.time[0], motion.time[-1], max(2, int(duration / ACCELERATION_WINDOW) + 1))
+    position, rate = states_at(motion.time, motion.position, motion.velocity, time)
+    dt = 1e-5  # central differences: 1e-10 off by the curvature, as much by rounding
+    ahead, behind = (_scanner_in_sweep(cell, sweep, position + s * dt * rate)[:, :3, 3] for s in (1.0, -1.0))
+    velocity = (ahead - behind) / (2.0 * dt)
+    return np.linalg.norm(np.diff(velocity, axis=0), axis=1) / np.diff(time), time[:-1]
 
 
 def _scanner_in_sweep(cell: Cell, sweep: PlannedSweep, position: FloatArray) -> FloatArray:

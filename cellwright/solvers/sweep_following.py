@@ -252,6 +252,13 @@ def _settle(
 ) -> tuple[int, int]:
     """Ask the exact engine where it can change a best piece; return the checks made and the sweeps left out."""
     settings = follower.settings
+    n_asked = 0
+
+    def counted(q: FloatArray) -> bool:
+        nonlocal n_asked
+        n_asked += 1
+        return exact(q)
+
     has, hoped = table.pieces[:, :, 2].max(axis=1), table.hopes[:, :, 2].max(axis=1)
     gain = hoped - has
     worth = np.flatnonzero(gain > settings.worthwhile_gain * has)
@@ -267,14 +274,14 @@ def _settle(
                 shortest=settings.shortest,
                 clearance=settings.clearance,
                 worthwhile_gain=settings.worthwhile_gain,
-                exact=exact,
+                exact=counted,
                 budget=budget,
             )
             follower.evaluate(poses, row, states, table)
             if not settled:
-                return settings.max_exact_checks, len(order) - begin - place
+                return n_asked, len(order) - begin - place
         progress(0.9 + 0.1 * (begin + len(rows)) / len(order))
-    return settings.max_exact_checks - budget.left, 0
+    return n_asked, 0
 
 
 def _gathered(

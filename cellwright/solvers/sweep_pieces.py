@@ -114,8 +114,53 @@ def wound_into(q: FloatArray, lower: FloatArray, upper: FloatArray, reference: F
 
 
 @numba.njit(cache=True, nogil=True)
+def _is_alone(status: Int8Array, k: int) -> bool:
+    """Tell whether pose ``k`` of a branch is clear but no pose beside it is, although there is one."""
+    before, after = k > 0 and status[k - 1] == CLEAR, k + 1 < len(status) and status[k + 1] == CLEAR
+    return status[k] == CLEAR and len(status) > 1 and not (before or after)
+
+
+@numba.njit(cache=True, nogil=True)
+def _clear_cause(
+    status: Int8Array,
+    linked: BoolArray,
+    k: int,
+    first_travel: float,
+    step: float,
+    shortest: float,
+    sample_travel: FloatArray,
+) -> int:
+    """Return what keeps the clear pose ``k`` of a branch out of a piece; of one that is alone its neighbours tell."""
+    if _is_alone(status, k):
+        return _OUT_OF_REACH
+    n = len(status)
+    begin = end = k
+    while begin > 0 and linked[begin] and status[begin - 1] == CLEAR:
+        begin -= 1
+    while end + 1 < n and linked[end + 1] and status[end + 1] == CLEAR:
+        end += 1
+    if begin == end and n > 1:
+        return _JOINT_SPEED
+    # a run that is long enough and measures a sample lacks nothing but turns that fit all of it
+    if (end - begin) * step >= shortest - ON_END and (
+        n_between(sample_travel, first_travel + begin * step, first_travel + end * step) > 0
+    ):
+        return _JOINT_LIMIT
+    return _TOO_SHORT
+
+
+@numba.njit(cache=True, nogil=True)
 def sweep_outcome(
-    status: Int8Array, blocker: Int32Array, linked: BoolArray, first: int, last: int, n_bodies: int
+    status: Int8Array,
+    blocker: Int32Array,
+    linked: BoolArray,
+    first: int,
+    last: int,
+    first_travel: float,
+    step: float,
+    shortest: float,
+    sample_travel: FloatArray,
+    n_bodies: int,
 ) -> tuple[int, int]:
     """Return the furthest `Cause` over branches and the poses ``first`` to ``last`` of a sweep without a piece.
 
@@ -126,7 +171,10 @@ def sweep_outcome(
     n_blocked = np.zeros(n_bodies, np.int64)
     n_branches, n = status.shape
     for branch in range(n_branches):
-        for k in range(first, last + 1):
+        # the neighbours of a clear pose that is alone tell why, also where they lie beyond the ends
+        begin = first - 1 if first > 0 and _is_alone(status[branch], first) else first
+        end = last + 1 if last + 1 < n and _is_alone(status[branch], last) else last
+        for k in range(begin, end + 1):
             state = status[branch, k]
             if state == BEYOND_LIMITS:
                 cause = max(cause, _JOINT_LIMIT)
@@ -134,9 +182,10 @@ def sweep_outcome(
                 cause = max(cause, _COLLISION)
                 n_blocked[blocker[branch, k]] += 1
             elif state == CLEAR:
-                before = k > 0 and linked[branch, k] and status[branch, k - 1] == CLEAR
-                after = k + 1 < n and linked[branch, k + 1] and status[branch, k + 1] == CLEAR
-                cause = max(cause, _TOO_SHORT if before or after else _JOINT_SPEED)
+                if k > begin and linked[branch, k] and status[branch, k - 1] == CLEAR:
+                    continue  # of the same run as the pose before
+                found = _clear_cause(status[branch], linked[branch], k, first_travel, step, shortest, sample_travel)
+                cause = max(cause, found)
     return cause, int(np.argmax(n_blocked)) if cause == _COLLISION else -1
 
 
@@ -190,7 +239,9 @@ def evaluate_sweep(
             wound_into(path[pieces[branch, 0] : pieces[branch, 1] + 1], lower, upper, reference, q_start[branch])
     if found:
         return 0, -1
-    cause, body = sweep_outcome(status, blocker, linked, useful[0], useful[1], n_bodies)
+    cause, body = sweep_outcome(
+        status, blocker, linked, useful[0], useful[1], first_travel, step, shortest, sample_travel, n_bodies
+    )
     return cause, body
 
 

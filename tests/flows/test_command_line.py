@@ -19,6 +19,7 @@ from cellwright.errors import CellwrightError, InfeasibleError, InvalidInputErro
 from flows import command_line
 from flows.runner import Steps
 from storage.lake import Lake
+from storage.manifests import Recipe
 from tests.flows import small_stages as small
 from tests.flows.conftest import PROJECT
 
@@ -293,7 +294,19 @@ class TestLakeCommands:
         assert "add_up v1" in self.text_of(capsys, "ls")
 
     def test_an_empty_lake_says_so(self, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-        assert "is empty" in self.text_of(capsys, "ls", "--lake", str(tmp_path / "none"))
+        said = self.text_of(capsys, "ls", "--lake", str(tmp_path / "none"))
+        assert f"{tmp_path / 'none'} is empty, it does not even exist yet: fill it with `cellwright inspect" in said
+        assert "is empty: fill it with `cellwright inspect" in self.text_of(capsys, "ls", "--lake", str(tmp_path))
+        assert self.json_of(capsys, "ls", "--lake", str(tmp_path)) == []
+
+    @pytest.mark.parametrize("action", ["show", "lineage"])
+    def test_what_is_asked_of_an_empty_lake_names_what_to_do(
+        self, tmp_path: Path, capsys: pytest.CaptureFixture[str], action: str
+    ) -> None:
+        assert command_line.main(["lake", action, "coverage", "--lake", str(tmp_path / "none")]) == 2
+        said = capsys.readouterr().err
+        assert "no artefact 'coverage'" in said
+        assert "does not even exist yet: fill it with `cellwright inspect CELL.yaml`, or name another" in said
 
     def test_show_names_columns_origin_and_files(self, lake: Lake, capsys: pytest.CaptureFixture[str]) -> None:
         shown = self.json_of(capsys, "show", "test-total")
@@ -316,6 +329,28 @@ class TestLakeCommands:
             cause=np.array([0, 2, 2, 5], np.int8),
         )  # fmt: skip
         assert _causes(artefact) == {"samples.cause": {"none": 1, "incidence": 2, "detector occluded": 1}}
+
+    def test_show_counts_collisions_by_body(self, lake: Lake, capsys: pytest.CaptureFixture[str]) -> None:
+        import numpy as np
+
+        from schemas.views import Reachability
+
+        nothing, n_rows = np.zeros(0), np.zeros(0, np.int32)
+        blocked_by = np.array([2, -1, 0, 2, -1], np.int32)
+        reachability = Reachability(
+            view=n_rows, branch=n_rows.astype(np.int8), start_m=nothing, end_m=nothing, q_start_rad=np.zeros((0, 6)),
+            outcome=np.where(blocked_by >= 0, 8, 6).astype(np.int8), blocked_by=blocked_by,
+            body=("fixture", "fence", "table"),
+        )  # fmt: skip
+        about = Recipe("follow_sweeps", 1, {}, {})
+        lake.publish(about.key, reachability, about)
+        shown = self.json_of(capsys, "show", "reachability")
+        assert shown["collisions"] == {"table": 2, "fixture": 1}
+        assert shown["causes"] == {"views.outcome": {"out of reach": 2, "collision": 3}}
+        said = self.text_of(capsys, "show", "reachability")
+        assert "collision with table: 2\ncollision with fixture: 1\n" in said
+        assert "fence" not in said
+        assert self.json_of(capsys, "show", "test-total")["collisions"] == {}
 
     def test_show_of_something_unknown_ends_with_2(self, lake: Lake, capsys: pytest.CaptureFixture[str]) -> None:
         assert command_line.main(["lake", "show", "test-totl"]) == 2
@@ -348,3 +383,19 @@ class TestLakeCommands:
         assert self.json_of(capsys, "gc")["deleted"] is False
         assert self.json_of(capsys, "gc", "--yes")["deleted"] is True
         assert len(self.json_of(capsys, "ls")) == 3
+
+    def test_gc_forgets_old_runs_but_the_newest(self, lake: Lake, capsys: pytest.CaptureFixture[str]) -> None:
+        for name, kind in (("first", "test-numbers"), ("second", "test-total"), ("third", "test-total")):
+            lake.record_run(name, {"ref": lake.resolve(kind)})
+        assert "recorded runs that keep what they used: 3; --keep-runs N" in self.text_of(capsys, "gc")
+        assert self.json_of(capsys, "gc", "--keep-runs", "1")["forgotten_runs"] == []  # none is a day old
+        for path in (Path(lake.url) / "runs").iterdir():
+            os.utime(path, (0, 0))
+        said = self.text_of(capsys, "gc", "--keep-runs", "1")
+        assert "would forget 2 runs" in said
+        assert "runs/first.json" in said
+        assert "add --yes" in said
+        assert self.json_of(capsys, "gc", "--keep-runs", "1", "--yes")["forgotten_runs"] == ["second", "first"]
+        assert [run["run_id"] for run in lake.runs()] == ["third"]
+        assert command_line.main(["lake", "gc", "--keep-runs", "0"]) == 2
+        assert "at least 1 must stay" in capsys.readouterr().err

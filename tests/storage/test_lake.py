@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import errno
 import importlib.util
 import pickle
 import threading
@@ -17,6 +18,7 @@ from schemas.sources import SourceFile
 from storage import parquet
 from storage.lake import Lake
 from storage.manifests import FileEntry
+from storage.places import LocalFolder
 from tests.storage.specimens import Tally, TallyInDozens, recipe, same, tally
 from tests.storage.test_mcap import plan
 
@@ -24,6 +26,26 @@ from tests.storage.test_mcap import plan
 def _overwrite(lake: Lake, path: str, content: bytes) -> None:
     folder, _, name = path.rpartition("/")
     lake.place.put(folder, {name: content})
+
+
+def _fail_once(lake: Lake, failure: OSError, patch: pytest.MonkeyPatch) -> list[str]:
+    """Let the next read of data fail below the lake's place, where disks and networks fail; lists what was read."""
+    read: list[str] = []
+    local = isinstance(lake.place, LocalFolder)
+    owner: Any = Path if local else type(lake.place.file_system)  # type: ignore[attr-defined, unused-ignore]
+    name = "read_bytes" if local else "cat_file"
+    whole = getattr(owner, name)
+
+    def reading(*arguments: Any, **keywords: Any) -> bytes:
+        path = str(arguments[0 if local else 1])
+        if "/data/" in path:
+            read.append(path)
+            if len(read) == 1:
+                raise failure
+        return bytes(whole(*arguments, **keywords))
+
+    patch.setattr(owner, name, reading)
+    return read
 
 
 def _only_file(lake: Lake, ref: Ref) -> str:
@@ -108,6 +130,39 @@ class TestLakeContract:
         assert lake.publish(ref.key, tally(*range(100)), recipe()) == ref
         assert same(lake.load(ref), tally(*range(100)))
         assert lake.verify() == []
+
+    @pytest.mark.parametrize(
+        "failure",
+        [
+            OSError(errno.EIO, "Input/output error"),
+            OSError(errno.EMFILE, "Too many open files"),
+            PermissionError(errno.EACCES, "Permission denied"),
+            TimeoutError("Read timed out"),
+        ],
+        ids=["disk", "handles", "permission", "network"],
+    )
+    def test_a_read_that_fails_once_is_no_damage_and_the_next_load_succeeds(
+        self, lake: Lake, failure: OSError, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        ref = lake.publish(recipe().key, tally(5), recipe())
+        read = _fail_once(lake, failure, monkeypatch)
+        with pytest.raises(LakeError, match="cannot read") as caught:
+            lake.load(ref)
+        assert "damaged" not in str(caught.value)
+        assert len(read) == 1
+        assert lake.place.walk("damaged") == {}
+        assert lake.find(ref.key) == ref
+        assert same(lake.load(ref), tally(5))
+
+    def test_an_artefact_in_an_empty_lake_names_what_to_do(self, lake: Lake) -> None:
+        with pytest.raises(InvalidInputError, match=r"does not even exist yet: fill it with .*--lake"):
+            lake.resolve("coverage")
+        lake.record_run("one", {})
+        with pytest.raises(InvalidInputError, match="is empty: fill it with"):
+            lake.resolve("coverage")
+        _overwrite(lake, f"manifests/00/{'0' * 64}.json", b"{")
+        with pytest.raises(InvalidInputError, match="nothing readable: `cellwright lake verify`"):
+            lake.resolve("coverage")
 
     def test_content_under_a_wrong_digest_is_refused(self, lake: Lake) -> None:
         ref = lake.publish(recipe().key, tally(5), recipe())

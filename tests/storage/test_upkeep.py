@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import os
 import time
+from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -9,8 +10,8 @@ import pytest
 from cellwright.errors import InvalidInputError
 from schemas.references import Ref
 from storage.lake import Lake
-from storage.places import LocalFolder
-from storage.upkeep import DAY_S, sweep
+from storage.places import FileState, LocalFolder
+from storage.upkeep import DAY_S, Sweep, sweep
 from tests.storage.specimens import recipe, same, tally
 
 LATER_S = 2 * DAY_S
@@ -125,6 +126,125 @@ def test_a_forgotten_run_keeps_nothing(lake: Lake) -> None:
     _later(lake)
     assert lake.find(one.key) is None
     assert lake.find(two.key) == two
+
+
+def _runs(lake: Lake, *names: str) -> dict[str, Ref]:
+    """Record a run for each name, the newest last, each with a result of its own."""
+    made = {}
+    for number, name in enumerate(names):
+        made[name] = _publish(lake, number, number=number)
+        lake.record_run(name, {"ref": made[name]})
+    return made
+
+
+def test_runs_beyond_those_to_keep_are_forgotten_with_what_only_they_used(lake: Lake) -> None:
+    made = _runs(lake, "one", "two", "three")
+    lake.record_run("four", {"ref": made["one"]})  # the newest run used what the oldest made
+    later_s = time.time() + LATER_S
+    said = sweep(lake, keep_runs=2, now_s=later_s)
+    assert said.forgotten_runs == ("two", "one")
+    assert str(said).startswith("would forget 2 runs, would remove ")
+    assert len(lake.runs()) == 4  # it only said so
+    assert same(lake.load(made["two"]), tally(1))
+    done = sweep(lake, dry_run=False, keep_runs=2, now_s=later_s)
+    assert (done.removed, done.forgotten_runs, done.kept_files) == (said.removed, ("two", "one"), 2)
+    assert str(done).startswith("forgot 2 runs, removed ")
+    assert [run["run_id"] for run in lake.runs()] == ["four", "three"]
+    assert lake.find(made["two"].key) is None
+    assert lake.place.walk(f"data/test-tally/{made['two'].digest}") == {}
+    assert same(lake.load(made["three"]), tally(2))
+    assert same(lake.load(made["one"]), tally(0))
+    assert lake.verify() == []
+    assert sweep(lake, keep_runs=2, now_s=later_s).removed == {}
+
+
+def test_no_run_younger_than_a_day_is_forgotten(lake: Lake) -> None:
+    _runs(lake, "one", "two", "three")
+    swept = lake.gc(dry_run=False, keep_runs=1)
+    assert (swept.removed, swept.forgotten_runs) == ({}, ())
+    assert len(lake.runs()) == 3
+
+
+@pytest.mark.parametrize("keep_runs", [0, -1])
+def test_forgetting_every_run_is_refused(lake: Lake, keep_runs: int) -> None:
+    with pytest.raises(InvalidInputError, match="at least 1 must stay"):
+        lake.gc(keep_runs=keep_runs)
+
+
+def test_no_result_is_swept_while_a_run_cannot_be_understood(lake: Lake) -> None:
+    made = _runs(lake, "one", "two")
+    lake.place.put("runs", {"one.json": b"{"})
+    swept = sweep(lake, dry_run=False, now_s=time.time() + LATER_S)
+    assert swept.removed == {}
+    assert "no result was taken because a run's record is unreadable" in str(swept)
+    assert lake.place.address("runs/one.json") in str(swept)
+    assert lake.find(made["one"].key) == made["one"]
+
+
+def _make_old(lake: Lake) -> None:
+    if not isinstance(lake.place, LocalFolder):
+        pytest.skip("objects have no time that can be set")
+    for path in lake.place.walk(""):
+        os.utime(lake.place.address(path), (0, 0))
+
+
+class TestWhatIsUsedDuringASweep:
+    """Ages are taken when files are listed; a run may find or publish something before it goes."""
+
+    def sweep_while(self, lake: Lake, patch: pytest.MonkeyPatch, folder: str, use: Callable[[], object]) -> Sweep:
+        """Make everything old, sweep, and do something right after a folder was listed for the first time."""
+        _make_old(lake)
+        place, walk = lake.place, lake.place.walk
+        listed: list[str] = []
+
+        def walking(wanted: str) -> dict[str, FileState]:
+            found = walk(wanted)
+            if wanted == folder and not listed:
+                listed.append(folder)
+                use()
+            return found
+
+        patch.setattr(place, "walk", walking)
+        swept = lake.gc(dry_run=False, keep_runs=1)
+        assert listed
+        return swept
+
+    def test_a_result_that_is_found_stays_with_its_data(self, lake: Lake, monkeypatch: pytest.MonkeyPatch) -> None:
+        made = _runs(lake, "one", "two")
+        swept = self.sweep_while(lake, monkeypatch, "manifests", lambda: lake.find(made["one"].key))
+        assert swept.removed.keys() == {"runs/one.json"}
+        assert same(lake.load(made["one"]), tally(0))
+
+    def test_data_that_is_published_again_stays(self, lake: Lake, monkeypatch: pytest.MonkeyPatch) -> None:
+        made = _runs(lake, "one", "two")
+        lake.place.remove(f"manifests/{made['one'].key[:2]}/{made['one'].key}.json")
+        self.sweep_while(lake, monkeypatch, "data", lambda: _publish(lake, 0, number=0))
+        assert same(lake.load(made["one"]), tally(0))
+
+    def test_data_that_is_about_to_be_named_stays(self, lake: Lake, monkeypatch: pytest.MonkeyPatch) -> None:
+        made = _runs(lake, "one", "two")
+        lake.place.remove(f"manifests/{made['one'].key[:2]}/{made['one'].key}.json")
+        data = f"data/test-tally/{made['one'].digest}/counts.parquet"
+        swept = self.sweep_while(lake, monkeypatch, "data", lambda: lake.place.touch(data))
+        assert data not in swept.removed
+        assert lake.place.state(data) is not None
+
+    def test_a_run_that_is_recorded_again_keeps_what_it_used(self, lake: Lake, monkeypatch: pytest.MonkeyPatch) -> None:
+        made = _runs(lake, "one", "two")
+        _make_old(lake)
+        recorded = lake.runs()
+
+        def recording() -> list[dict[str, Any]]:
+            monkeypatch.setattr(lake, "runs", runs)
+            lake.record_run("one", {"ref": made["one"]})
+            return recorded  # as they were before
+
+        runs = lake.runs
+        monkeypatch.setattr(lake, "runs", recording)
+        swept = lake.gc(dry_run=False, keep_runs=1)
+        assert swept.forgotten_runs == ()
+        assert "manifests" not in "".join(swept.removed)
+        assert same(lake.load(made["one"]), tally(0))
 
 
 def test_no_data_is_swept_while_a_manifest_cannot_be_understood(lake: Lake) -> None:

@@ -43,6 +43,14 @@ def test_samples_lie_on_faces_to_measure_at_the_density_asked_for(method: str, d
     assert np.abs(on_plane).max() < 1e-12
 
 
+def test_a_small_surface_gets_the_fewest_samples_and_a_large_one_its_density() -> None:
+    density = 100 / CYLINDER.areas_m2[CYLINDER.to_measure].sum()
+    for at_least, count in ((1, 100), (100, 100), (250, 250)):
+        found = samples(CYLINDER, density_per_m2=density, at_least=at_least)
+        assert len(found.points_m) == count
+        assert len(np.unique(np.round(found.points_m, 9), axis=0)) == count
+
+
 def test_the_papers_densities_give_the_papers_counts() -> None:
     for per_mm2, expected in ((0.001, 91), (0.005, 455), (0.01, 910)):
         assert len(samples(CYLINDER, density_per_m2=per_mm2 * 1e6).points_m) == expected

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from cellwright.cell.bodies import WORLD, Body, Box
+from cellwright.cell.ignored_pairs import Reason
 from cellwright.cell.transforms import pose
 from cellwright.errors import InfeasibleError, InvalidInputError
 from schemas.artefact import digest
@@ -65,6 +66,27 @@ def test_a_plan_through_an_obstacle_that_the_planner_did_not_know_is_an_error():
         run(cell=blocked)
 
 
+def test_a_pair_that_was_only_sampled_as_never_touching_is_checked():
+    trajectory = scanning_cell.trajectory()
+    row = int(np.argmax(np.isnan(trajectory.travel_m) & (trajectory.segment == 2)))
+    at = scanning_cell.cell().robot.flange_pose(trajectory.position_rad[row + 20])
+    post = Body("post", Box((0.05, 0.05, 0.05)), WORLD, at @ pose(np.array([0.0, 0.0, 0.05]), np.eye(3)))
+    model = cell_model()
+    blocked = replace(model, **packed_bodies((*scanning_cell.cell_without_part().bodies, post)))
+    pairs = np.array([[body, len(model.body)] for body in range(len(model.body))], np.int32)
+
+    def ignoring(reason):
+        return replace(
+            blocked,
+            ignored_pair=np.concatenate([model.ignored_pair, pairs]),
+            ignored_reason=np.concatenate([model.ignored_reason, np.full(len(pairs), reason, np.int8)]),
+        )
+
+    with pytest.raises(InfeasibleError, match=r"colliding states is 1 .*post"):
+        run(cell=ignoring(Reason.NEVER_TOUCHING))
+    assert run(cell=ignoring(Reason.DECLARED)).n_states == verification().n_states
+
+
 def test_a_tampered_trajectory_is_an_error():
     trajectory = scanning_cell.trajectory()
     position = trajectory.position_rad.copy()
@@ -86,6 +108,16 @@ def test_a_plan_for_another_selection_is_invalid():
 def test_a_slower_permitted_scan_is_an_error():
     with pytest.raises(InfeasibleError, match=r"scanner speed on a sweep is 0\.2"):
         run(params=PARAMS.model_copy(update={"scan_speed_m_s": 0.1}))
+
+
+def test_a_slower_permitted_acceleration_is_an_error():
+    with pytest.raises(InfeasibleError, match=r"scanner acceleration on a sweep is 1\.0"):
+        run(params=PARAMS.model_copy(update={"tool_acceleration_m_s2": 0.5}))
+
+
+def test_a_plan_that_should_return_but_does_not_is_an_error():
+    with pytest.raises(InfeasibleError, match="end off the start configuration"):
+        run(params=PARAMS.model_copy(update={"return_to_start": True}))
 
 
 def test_progress_rises_to_one():

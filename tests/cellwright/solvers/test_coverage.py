@@ -79,6 +79,9 @@ def test_a_point_that_no_candidate_can_see_has_the_cause_of_the_sensor_model() -
         ([(0, 0.1, 0.2), (0, -0.1, 0.1)], [Cause.NONE, Cause.COLLISION], None, Cause.NOT_SELECTED, True),
         ([(1, -0.1, 0.1)], [Cause.COLLISION, Cause.NONE], [False, True], Cause.NOT_SCANNED, True),
         ([(0, -0.1, 0.1), (1, 0.1, 0.2)], [Cause.NONE, Cause.NONE], [False, True], Cause.NOT_SELECTED, True),
+        # the plan executes only the first piece of a view
+        ([(0, 0.1, 0.2), (0, -0.1, 0.1)], [Cause.NONE], [True], Cause.NOT_SELECTED, True),
+        ([(0, -0.1, 0.1), (0, 0.1, 0.2)], [Cause.NONE], [True], Cause.NOT_SCANNED, True),
     ],
 )
 def test_the_cause_is_the_furthest_that_a_measuring_candidate_came(

@@ -4,6 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from cellwright.cell.bodies import Body, Box, Capsule, Cylinder, Mesh, Sphere
 from cellwright.cell.cell import Cell
@@ -85,3 +87,23 @@ def test_a_motion_that_is_not_finite_is_a_solver_error():
     motion = Motion(np.array([0.0, 1.0]), np.full((2, 6), np.nan), np.zeros((2, 6)))
     with pytest.raises(SolverError, match="cannot be cut"):
         dense_times(motion, MovingCorners.of(scanning_cell.cell()), step=1e-3, step_angle=0.1)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    speed=st.one_of(st.integers(1, 40).map(lambda n: 12.5 * n), st.floats(5.0, 200.0)),
+    joint=st.integers(0, 5),
+    from_angle=st.floats(-3.0, 3.0),
+)
+def test_a_joint_at_a_round_speed_never_turns_beyond_the_bound(speed, joint, from_angle):
+    """50 deg/s over 8 ms is four times 0.1 deg: cut in four, rounding alone would take steps beyond the bound."""
+    time = 0.008 * np.arange(40)
+    velocity = np.zeros((40, 6))
+    velocity[:, joint] = np.deg2rad(speed)
+    position = velocity * time[:, None] + from_angle
+    corners = MovingCorners.of(scanning_cell.cell_without_part())
+    step, step_angle = 3e-3, float(np.deg2rad(0.1))
+    dense = dense_times(Motion(time, position, velocity), corners, step=step, step_angle=step_angle)
+    checked, _ = states_at(time, position, velocity, dense)
+    assert np.abs(np.diff(checked, axis=0)).max() <= step_angle
+    assert corners.displacement(checked).max() <= step

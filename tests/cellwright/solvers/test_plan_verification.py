@@ -5,6 +5,8 @@ from functools import cache
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from cellwright.cell.bodies import WORLD, Body, Box
 from cellwright.cell.transforms import pose, rotation_from_rpy
@@ -81,12 +83,53 @@ def test_a_collision_between_two_states_is_found():
         def collision(self, q):
             return ("link", "hair") if np.abs(q - crossing).max() < 0.002 else None
 
+        def distance(self, q):
+            return 1.0
+
     q = sound().position
     row = int(np.argmax(np.abs(np.diff(q, axis=0)).max(axis=1)))
     crossing = 0.5 * (q[row] + q[row + 1])
     assert np.abs(q - crossing).max(axis=1).min() > 0.002
     checks, _ = verification.check_collisions(sound(), cell(), Between(), Tolerances(step_angle=0.003, step=0.1))
     assert "colliding states" in failed(checks)
+
+
+class PointAmongPoints:
+    """The first coordinates are a point's position, bodies are points that stand in its way."""
+
+    def __init__(self, bodies):
+        self.bodies, self.asked = bodies, 0
+
+    def collision(self, q):
+        return None
+
+    def distance(self, q):
+        self.asked += 1
+        return float(np.linalg.norm(self.bodies - q, axis=1).min())
+
+
+@given(seed=st.integers(0, 10**6))
+def test_the_smallest_distance_is_found_without_measuring_all(seed):
+    rng = np.random.default_rng(seed)
+    position = np.cumsum(rng.uniform(-0.01, 0.02, (rng.integers(2, 800), 3)), axis=0)
+    bodies = position[rng.integers(len(position), size=3)] + rng.normal(scale=0.2, size=(3, 3))
+    moved = np.linalg.norm(np.diff(position, axis=0), axis=1)
+    every = np.linalg.norm(position[:, None] - bodies, axis=2).min(axis=1)
+    checker = PointAmongPoints(bodies)
+    distance, row = verification.smallest_distance(position, moved, checker, most=1000)
+    assert distance == every.min() == every[row]
+    assert checker.asked <= len(position)
+    limited = PointAmongPoints(bodies)
+    bounded, row = verification.smallest_distance(position, moved, limited, most=10)
+    assert bounded == every[row] >= distance and limited.asked <= 11
+
+
+def test_the_smallest_distance_of_bodies_is_stored_and_less_than_none_fails():
+    checks, _ = verification.check_collisions(sound(), cell(), VerificationScene(cell()), COARSE)
+    nearest = next(check for check in checks if check.name.startswith("overlap of the nearest bodies"))
+    scene = VerificationScene(cell())
+    assert 0.005 - 1e-5 <= -nearest.found <= min(scene.distance(q) for q in sound().position[::50])
+    assert nearest.passed and nearest.where.startswith("at ")
 
 
 def test_too_fast_a_plan_fails_speed_and_acceleration():
@@ -158,7 +201,7 @@ def test_a_missing_sweep_is_named():
         ),
         (
             pose(np.array([4e-4, 0.0, 0.0]), np.eye(3)),
-            {"stated travel off the executed one", "sweep interval not executed"},
+            {"stated travel off the executed one", "sweep interval not executed", "travel beyond the sweep interval"},
         ),
     ],
 )
@@ -180,6 +223,41 @@ def test_a_sweep_that_is_cut_short_or_scanned_too_fast_fails():
     longer = [replace(sweep, interval=(-0.06, 0.0605)) for sweep in scanning_cell.sweeps()]
     assert failed(quick_checks(sound(), sweeps=longer)) == {"sweep interval not executed"}
     assert failed(quick_checks(sound(), speed=0.9 * SPEED)) == {"scanner speed on a sweep"}
+
+
+def test_a_sweep_that_goes_on_beyond_its_interval_fails():
+    shorter = [replace(sweep, interval=(-0.06, 0.0595)) for sweep in scanning_cell.sweeps()]
+    assert failed(quick_checks(sound(), sweeps=shorter)) == {"travel beyond the sweep interval"}
+
+
+def test_a_sweep_that_is_executed_twice_is_named():
+    rows, sweep = sweep_rows(1)
+    number = int(sound().segment[rows[0]])
+    segments = list(sound().segments)
+    segments.insert(number, segments[number])
+    checks = quick_checks(changed(segments=tuple(segments)))
+    assert failed(checks) == {"sweeps executed more than once"}
+    assert next(check.where for check in checks if not check.passed) == f"view {sweep}"
+
+
+def test_the_scanner_accelerates_as_permitted_and_no_more():
+    def failed_at(permitted):
+        return failed(
+            verification.check_sweeps(
+                sound(), cell(), scanning_cell.sweeps(), SPEED, COARSE, max_acceleration=permitted
+            )
+        )
+
+    assert failed_at(scanning_cell.SETTINGS.tool_acceleration) == set()
+    assert failed_at(0.98 * scanning_cell.SETTINGS.tool_acceleration) == {"scanner acceleration on a sweep"}
+
+
+def test_a_plan_that_must_return_ends_where_it_starts():
+    returned = replace(sound(), position=np.concatenate([sound().position[:-1], [scanning_cell.START]]))
+    name = "end off the start configuration"
+    assert name in failed(verification.check_limits(sound(), cell(), COARSE, returns=True))
+    assert name not in failed(verification.check_limits(returned, cell(), COARSE, returns=True))
+    assert name not in failed(verification.check_limits(sound(), cell(), COARSE))
 
 
 def test_states_out_of_order_or_not_finite_fail_first():

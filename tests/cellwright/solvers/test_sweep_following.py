@@ -334,8 +334,14 @@ def test_exact_checks_are_counted_and_capped():
         return scene.collides(q)
 
     full = follow_sweeps(cell(), sweeps, settings=SETTINGS, exact=exact)
+    assert len(asked) == full.n_exact_checks
+    for limit in (full.n_exact_checks // 3, full.n_exact_checks // 2):
+        asked.clear()
+        few = FollowSettings(scan_speed=0.1, max_exact_checks=limit)
+        some = follow_sweeps(cell(), sweeps, settings=few, exact=exact)
+        assert some.n_unsettled > 0
+        assert some.n_exact_checks == len(asked) <= limit
     none = follow_sweeps(cell(), sweeps, settings=FollowSettings(scan_speed=0.1, max_exact_checks=0), exact=exact)
-    assert len(asked) <= full.n_exact_checks
     assert full.n_unsettled == 0
     assert none.n_exact_checks == 0
     assert (none.n_unsettled > 0) == (full.n_exact_checks > 0)

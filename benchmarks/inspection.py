@@ -1,0 +1,94 @@
+"""How fast is the whole inspection? Run: ``python -m benchmarks.inspection``.
+
+Everything is measured in this process, without a server, on the shipped example, after one warm-up that pays for
+compilation. The planning chain at the paper's highest density stands beside its own bare kernels of the same run: the
+rays that were cast, the poses solved, the bounding tests made (see `benchmarks.reachability`).
+"""
+
+from __future__ import annotations
+
+import resource
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from typing import Any
+
+begun = time.perf_counter()
+from benchmarks import reachability  # noqa: E402
+from cellwright.cell.occlusion import Occluder  # noqa: E402
+from flows import compile_kernels, inspection  # noqa: E402
+from flows.examples import find_cell_file  # noqa: E402
+from tasks.follow_sweeps import SweepParams  # noqa: E402
+
+IMPORT_S = time.perf_counter() - begun
+
+PLANNING = ("sample_surface planning", "sample_viewpoints", "measure_samples", "follow_sweeps", "trim_measurability")
+
+
+def timed(what: Callable[[], Any]) -> tuple[float, Any]:
+    """Return wall seconds and result."""
+    started = time.perf_counter()
+    result = what()
+    return time.perf_counter() - started, result
+
+
+def plan(lake: str, *overrides: str) -> tuple[float, Any]:
+    """Run the example against a lake; return wall seconds and the result."""
+    cell = find_cell_file("grooved_cylinder")
+    return timed(lambda: inspection.run(cell, overrides=overrides, lake=lake, direct=True))
+
+
+def rays_s(mesh: Any, seen: Any, views: Any) -> float:
+    """Return the seconds of casting two rays for every measured pair, on one thread."""
+    import numpy as np
+
+    from cellwright.cell.bodies import Mesh
+
+    occluder = Occluder(Mesh(mesh.vertices_m, mesh.faces))
+    n = min(len(seen.view), 200_000)
+    targets = views.position_m[seen.view[:n]]
+    origins = np.repeat(mesh.vertices_m.mean(axis=0)[None], n, axis=0)
+    occluder.blocked(origins[:10], targets[:10])
+    seconds, _ = timed(lambda: occluder.blocked(origins, targets))
+    return seconds / n * 2 * len(seen.view)
+
+
+def main() -> int:
+    """Print one line a bar."""
+    compile_kernels.main()
+    print(f"imports                                      {IMPORT_S:8.2f} s")
+    with tempfile.TemporaryDirectory() as folder:
+        _, dense = plan(f"{folder}/dense", "planner.sampling.density=0.01 /mm^2", "planner.refinement.rounds=0")
+        steps = dense.computing_seconds()
+        chain = sum(steps[name] for name in PLANNING) + steps["select_views"]
+        for name in (*PLANNING, "select_views"):
+            print(f"  {name:42s} {steps[name]:8.2f} s")
+        print(f"sampling to set cover, {dense.summary['candidates']:,} candidates     {chain:8.2f} s   (bar 15 s)")
+
+        seconds, cold = plan(f"{folder}/example")
+        print(f"whole inspection, cold lake                  {seconds:8.2f} s   (bar 60 s)")
+        print(f"peak memory of this process                  {peak_gb():8.2f} GB  (bar 2 GB)")
+        print(f"coverage of what any candidate can measure   {cold.summary['coverage_of_coverable']:8.2%}   (bar 99 %)")
+        seconds, warm = plan(f"{folder}/example")
+        computed = sum(not record.cached for record in warm.records)
+        print(f"the same again: {computed} stages computed            {seconds:8.2f} s   (bar 1 s)")
+        _, changed = plan(f"{folder}/example", "planner.report.title=another title")
+        computed_names = [record.name for record in changed.records if not record.cached]
+        print(f"another report title computes: {', '.join(computed_names)}")
+
+        cell, mesh, views, seen = reachability.inputs(0.01)
+        kernels = reachability.bare_kernels(cell, mesh, views, seen, SweepParams(T_world_part=reachability.PART_POSE))
+        kernels += rays_s(mesh, seen, views)
+        print(f"bare kernels, processor seconds on one core  {kernels:8.2f} s")
+        print(f"chain over kernels spread on two cores       {chain / (kernels / 2):8.2f}     (bar 3)")
+    return 0
+
+
+def peak_gb() -> float:
+    """Return the largest resident size of this process so far."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
+
+
+if __name__ == "__main__":
+    sys.exit(main())
