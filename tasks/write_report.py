@@ -38,7 +38,7 @@ _CAUSE_WORDS = {
     Cause.COLLISION: "the sweeps that see it collide",
     Cause.JOINT_SPEED: "a joint would be too slow for the scanning speed",
     Cause.TOO_SHORT: "the executable pieces of the sweeps that see it are too short",
-    Cause.NOT_SELECTED: "a reachable sweep sees it, but none of the selected ones: it lies between the planning samples, or beyond the goal",
+    Cause.NOT_SELECTED: "a reachable sweep sees it, none of the selected ones (between samples, or beyond the goal)",
     Cause.NOT_SCANNED: "a selected sweep should see it, but no scan point came close enough",
 }
 
