@@ -8,6 +8,7 @@ from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from cellwright.cell.built_in_robots import built_in_digest
 from cellwright.cell.part import METRES_PER_UNIT
 from cellwright.cell.urdf_geometry import mesh_references, resolve_mesh
 from cellwright.errors import InvalidInputError, listed
@@ -33,7 +34,7 @@ from tasks.simulate_scan import ScanParams
 from tasks.stitch_sweeps import StitchParams
 from tasks.trim_measurability import TrimParams
 from tasks.verify_plan import VerifyParams
-from tasks.write_report import ReportParams
+from tasks.write_report import ReportParams, template_digest
 
 _SEED_STEP = 1_000_003
 """Apart the seeds of the three clouds, so that none of them repeats another's random numbers."""
@@ -170,6 +171,7 @@ def _request(file: CellFile) -> InspectionRequest:
             title=planner.report.title or file.name,
             notes=planner.report.notes or "",
             max_uncertainty_m=sensing.max_uncertainty_m,
+            template_sha256=template_digest(),
         ),
     )
 
@@ -177,11 +179,10 @@ def _request(file: CellFile) -> InspectionRequest:
 def _cell(file: CellFile) -> tuple[tuple[SourceParams, ...], CellModelParams]:
     """Return the files that the cell is made of, each once, and how it is put together."""
     sources: dict[str, SourceParams] = {}
-    robot = file.robot.model
-    if file.robot.urdf is not None:
-        robot = _add_urdf(file, sources)
+    robot = file.robot.model if file.robot.urdf is None else _add_urdf(file, sources)
     params = CellModelParams(
         robot=robot,
+        robot_sha256=built_in_digest(robot) if file.robot.urdf is None else "",
         base_link=file.robot.base_link,
         flange_link=file.robot.flange_link,
         T_world_base=file.robot.base.pose(),

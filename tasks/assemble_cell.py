@@ -34,6 +34,9 @@ class CellModelParams(Params):
     """Everything that stands in the cell but the workpiece. Joint values: in joint order, or by joint name."""
 
     robot: str = Field(min_length=1, description="Name of a built-in robot, or of a URDF file among the files.")
+    robot_sha256: str = Field(
+        default="", description="Hash of a built-in robot's data, so that a corrected robot makes another cell."
+    )
     base_link: str | None = Field(default=None, description="URDF link that is the frame base; found if left out.")
     flange_link: str | None = Field(default=None, description="URDF link that is the frame flange; found if left out.")
     T_world_base: Pose = Field(default=Pose(), description="Pose of the robot's base in the world.")

@@ -7,6 +7,7 @@ the ``<!--RUN-->`` mark when the page is exported, so that the artefact stays a 
 from __future__ import annotations
 
 import base64
+import hashlib
 import json
 from importlib import resources
 from typing import Any
@@ -54,6 +55,14 @@ class ReportParams(Params):
     notes: str = Field(default="", description="A remark shown below the heading.")
     max_uncertainty_m: float = Field(default=100e-6, gt=0, description="Permitted uncertainty, drawn as a line.")
     max_points: int = Field(default=20_000, ge=100, description="Most cloud points drawn in the 3D view.")
+    template_sha256: str = Field(
+        default="", description="Hash of the page's template, so that a changed template makes another page."
+    )
+
+
+def template_digest() -> str:
+    """Return the SHA-256 (hex) of the page's template."""
+    return hashlib.sha256(_template().encode()).hexdigest()
 
 
 @stage(version=1)
@@ -101,7 +110,7 @@ def write_report(
         cell.joint,
         segments,
     )
-    template = resources.files("tasks").joinpath("templates/inspection_report.html.j2").read_text("utf-8")
+    template = _template()
     environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined)
     page = environment.from_string(template).render(
         title=params.title,
@@ -297,6 +306,10 @@ def _sweep_lines(viewpoints: Viewpoints, trajectory: Trajectory) -> dict[str, li
 def _xyz(points: FloatArray) -> dict[str, list[float]]:
     x, y, z = np.round(1e3 * points, 2).T.tolist()
     return {"x": x, "y": y, "z": z}
+
+
+def _template() -> str:
+    return resources.files("tasks").joinpath("templates/inspection_report.html.j2").read_text("utf-8")
 
 
 def _plotly_js() -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import hashlib
 from dataclasses import dataclass
 from importlib import resources
 
@@ -93,6 +94,22 @@ def built_in_bodies(name: str, robot: Robot | None = None) -> tuple[Body, ...]:
     """
     entry = built_in(name)
     return collision_bodies(robot or built_in_robot(name), lambda filename: _read(entry.name, filename))
+
+
+def built_in_digest(name: str) -> str:
+    """Return the SHA-256 (hex) of all that makes a built-in robot: another release may have corrected it.
+
+    Raises:
+        InvalidInputError: If there is none of that name.
+    """
+    entry = built_in(name)
+    whole = hashlib.sha256(repr(entry).encode())
+    folder = resources.files("cellwright").joinpath("robots", entry.name)
+    for file in sorted(folder.iterdir(), key=lambda each: each.name):
+        if file.is_file():
+            content = file.read_bytes()
+            whole.update(f"\0{file.name}\0{len(content)}\0".encode() + content)
+    return whole.hexdigest()
 
 
 def _read(robot: str, filename: str) -> bytes:

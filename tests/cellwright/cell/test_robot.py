@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import dataclasses
 import pickle
 import re
 
@@ -9,6 +10,7 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from cellwright.cell import built_in_robots
 from cellwright.cell.built_in_robots import built_in, built_in_robot
 from cellwright.cell.robot import ACCELERATION_TIME, Robot
 from cellwright.errors import InvalidInputError
@@ -184,3 +186,11 @@ def test_the_ur10e_stands_where_the_published_table_says() -> None:
 def test_an_unknown_built_in_robot_gets_a_hint() -> None:
     with pytest.raises(InvalidInputError, match=re.escape("did you mean 'ur10e'?")):
         built_in_robot("ur10")
+
+
+def test_the_digest_of_a_built_in_robot_changes_with_its_data(monkeypatch: pytest.MonkeyPatch) -> None:
+    before = built_in_robots.built_in_digest("ur10e")
+    assert before == built_in_robots.built_in_digest("UR10e")
+    faster = dataclasses.replace(built_in_robots.BUILT_IN[0], max_acceleration=(13.0,) * 6)
+    monkeypatch.setattr(built_in_robots, "BUILT_IN", (faster,))
+    assert built_in_robots.built_in_digest("ur10e") != before
