@@ -91,6 +91,7 @@ class Step:
         self._upstream = upstream
         self._future: PrefectFuture[Ref] | None = None
         self._outcome: Outcome | None = None
+        self._ref: Ref | None = None
 
     def __repr__(self) -> str:
         return f"Step({self.name})"
@@ -101,6 +102,12 @@ class Step:
         Raises:
             CellwrightError: The error of the first stage that failed on the way here, never that of its victim.
         """
+        if self._ref is None:
+            # kept, because the chain has so many ways back that asking along all of them takes seconds
+            self._ref = self._awaited()
+        return self._ref
+
+    def _awaited(self) -> Ref:
         for step in self._upstream:
             step.ref()
         if self._outcome is not None:

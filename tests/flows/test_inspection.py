@@ -10,6 +10,7 @@ import json
 import os
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -327,7 +328,12 @@ class TestUnderPrefect:
         assert computed(ran) == set()
         with get_client(sync_client=True) as client:
             run = client.read_flow_run(ran.run_id)  # type: ignore[arg-type]
-            stages = client.read_task_runs(flow_run_filter=FlowRunFilter(id={"any_": [ran.run_id]}), limit=200)
+            mine = FlowRunFilter(id={"any_": [ran.run_id]})
+            for _ in range(100):  # the server writes task runs down some time after they have ended
+                stages = client.read_task_runs(flow_run_filter=mine, limit=200)
+                if {stage.name for stage in stages} == {record.name for record in ran.records}:
+                    break
+                time.sleep(0.1)
             artifacts = client.read_artifacts(
                 artifact_filter=ArtifactFilter(flow_run_id={"any_": [ran.run_id]}), limit=50
             )
