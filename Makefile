@@ -45,7 +45,7 @@ test-slow: setup
 
 lock: setup
 	$(BIN)/uv pip compile pyproject.toml --group dev --group setup --python-version 3.11 --upgrade --quiet \
-		--no-header --no-annotate --no-emit-index-url --generate-hashes --output-file requirements.lock
+		--no-header --no-annotate --generate-hashes --output-file requirements.lock
 
 wheel: setup
 	$(BIN)/uv build --wheel --no-build-isolation --python $(BIN)/python --out-dir dist --quiet
