@@ -15,8 +15,8 @@ import pytest
 PROJECT = Path(__file__).parents[1]
 
 HEAVY = {
-    "open3d", "pinocchio", "coal", "fcl", "highspy", "toppra", "trimesh", "scipy", "numba", "duckdb", "plotly",
-    "matplotlib", "ssik", "eaik", "cascadio", "foxglove",
+    "casadi", "open3d", "pinocchio", "coal", "fcl", "highspy", "toppra", "trimesh", "scipy", "numba", "duckdb",
+    "plotly", "matplotlib", "ssik", "eaik", "cascadio", "foxglove",
 }  # fmt: skip
 
 
