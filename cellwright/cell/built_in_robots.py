@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import difflib
 import hashlib
+import math
 from dataclasses import dataclass
 from importlib import resources
 
+import numpy as np
+
 from cellwright.cell.bodies import Body
 from cellwright.cell.robot import Robot
+from cellwright.cell.serial_arm import SerialArm
 from cellwright.cell.urdf_geometry import collision_bodies
 from cellwright.errors import InvalidInputError
 
@@ -20,32 +24,94 @@ class BuiltIn:
     Attributes:
         name: Name in cell files and of its folder.
         joint_names: The moving joints, base to flange.
-        max_acceleration: Joint acceleration limits in rad/s^2.
-        home: A configuration out of the way, rad.
+        max_acceleration: Joint acceleration limits in rad/s^2, of prismatic joints in m/s^2.
+        home: A configuration out of the way, rad, of prismatic joints m.
+        touching: Pairs of links that are no neighbours and whose shapes overlap though the bodies do not.
     """
 
     name: str
     joint_names: tuple[str, ...]
     max_acceleration: tuple[float, ...]
     home: tuple[float, ...]
+    touching: tuple[tuple[str, str], ...] = ()
 
 
+_RIGHT = math.pi / 2.0
+_HEAVY_RAMPS = (1.15, 1.5, 1.5, 0.45, 0.45, 0.70)
+"""Seconds to full speed that the published speeds and accelerations of the KUKA KR 210 R3100 ultra give."""
+
+
+def _joints(pattern: str, n_joints: int = 6) -> tuple[str, ...]:
+    return tuple(pattern.format(number) for number in range(1, n_joints + 1))
+
+
+def _ramped(*speeds: float) -> tuple[float, ...]:
+    """Accelerations of a heavy six-axis arm whose maker publishes none: as its sibling by payload class."""
+    return tuple(round(speed / ramp, 4) for speed, ramp in zip(speeds, _HEAVY_RAMPS, strict=True))
+
+
+_UR_JOINTS = (
+    "shoulder_pan_joint",
+    "shoulder_lift_joint",
+    "elbow_joint",
+    "wrist_1_joint",
+    "wrist_2_joint",
+    "wrist_3_joint",
+)
+_ABB_TOUCHING = (("link_2", "link_4"), ("link_4", "link_6"))
+
+# All accelerations are estimates: no maker publishes them. Light arms: half of what the published torques leave
+# without load in the worst of 3000 random poses, at most speed / 0.15 s. Heavy arms: `_HEAVY_RAMPS`.
 BUILT_IN = (
-    # accelerations: half of what the published torques leave without load in the worst of 3000 random poses,
-    # at most speed / 0.15 s; the maker publishes none
     BuiltIn(
         "ur10e",
-        (
-            "shoulder_pan_joint",
-            "shoulder_lift_joint",
-            "elbow_joint",
-            "wrist_1_joint",
-            "wrist_2_joint",
-            "wrist_3_joint",
-        ),
+        _UR_JOINTS,
         (12.48, 8.08, 19.75, 20.94, 20.94, 20.94),
-        (0.0, -1.5707963267948966, 1.5707963267948966, -1.5707963267948966, -1.5707963267948966, 0.0),
+        (0.0, -_RIGHT, _RIGHT, -_RIGHT, -_RIGHT, 0.0),
     ),
+    BuiltIn(
+        "ur5",
+        _UR_JOINTS,
+        (17.25, 11.35, 21.0, 21.33, 21.33, 21.33),
+        (0.0, -_RIGHT, _RIGHT, -_RIGHT, -_RIGHT, 0.0),
+    ),
+    BuiltIn(
+        "crx10ia_l",
+        _joints("J{}"),
+        (12.07, 7.52, 20.94, 20.94, 20.94, 20.94),
+        (0.0, 0.3, -0.4, 0.0, -1.0, 0.0),
+    ),
+    BuiltIn(
+        "kr180_r2500_extra",
+        _joints("joint_a{}"),
+        _ramped(2.146755, 2.007129, 2.094395, 3.124139, 3.00196, 3.822271),
+        (0.0, -_RIGHT, _RIGHT, 0.0, _RIGHT, 0.0),
+    ),
+    BuiltIn(
+        "nj290",
+        _joints("q{}"),
+        _ramped(1.57, 1.919862, 1.919862, 1.919862, 1.919862, 1.919862),
+        (0.0, 0.0, -_RIGHT, 0.0, _RIGHT, 0.0),
+        (("link4", "link6"),),
+    ),
+    BuiltIn(
+        "irb6640",
+        _joints("joint_{}"),
+        _ramped(1.7453, 1.5707, 1.5707, 2.9671, 2.4435, 3.3161),
+        (0.0, 0.0, 0.0, 0.0, math.pi / 6.0, 0.0),
+        _ABB_TOUCHING,
+    ),
+    BuiltIn(
+        "irb6400",
+        _joints("joint_{}"),
+        _ramped(1.7453, 1.5707, 1.5707, 2.9671, 2.4435, 3.3161),
+        (0.0, 0.0, 0.0, 0.0, math.pi / 6.0, 0.0),
+        _ABB_TOUCHING,
+    ),
+    # chosen: speed over 0.5 s, the quill's over 0.25 s
+    BuiltIn("scara", _joints("joint_{}", 3), (5.06, 5.06, 4.0), (-1.8, -0.9, 0.0)),
+    # chosen, as everything about it
+    BuiltIn("pr_robot", ("joint_r", "joint_p"), (6.0, 4.0), (0.0, 0.0)),
 )
 
 
@@ -75,13 +141,23 @@ def built_in_urdf(name: str) -> str:
 
 
 def built_in_robot(name: str) -> Robot:
-    """Return a built-in robot.
+    """Return a built-in robot of revolute joints.
+
+    Raises:
+        InvalidInputError: If there is none of that name, or it has a prismatic joint.
+    """
+    entry = built_in(name)
+    return Robot.from_urdf(built_in_urdf(name), max_acceleration=entry.max_acceleration, name=entry.name)
+
+
+def built_in_arm(name: str) -> SerialArm:
+    """Return a built-in robot, prismatic joints or not, as layout optimisation takes it.
 
     Raises:
         InvalidInputError: If there is none of that name.
     """
     entry = built_in(name)
-    return Robot.from_urdf(built_in_urdf(name), max_acceleration=entry.max_acceleration, name=entry.name)
+    return SerialArm.from_urdf(built_in_urdf(name), max_acceleration=np.array(entry.max_acceleration), name=entry.name)
 
 
 def built_in_bodies(name: str, robot: Robot | None = None) -> tuple[Body, ...]:

@@ -38,7 +38,7 @@ def collision_bodies(robot: Robot, read_mesh: ReadMesh) -> tuple[Body, ...]:
         for row, collision in enumerate(collisions, 1):
             subject = f"collision geometry of link {link!r}"
             name = link if len(collisions) == 1 else f"{link}.{row}"
-            shape = _shape(collision, subject, read_mesh)
+            shape = collision_shape(collision, subject, read_mesh)
             bodies.append(Body(name, shape, number, T_parent_link @ origin_of(collision, subject)))
     return tuple(bodies)
 
@@ -114,7 +114,12 @@ def meshes_among(files: Mapping[str, bytes]) -> ReadMesh:
     return read
 
 
-def _shape(collision: ElementTree.Element, subject: str, read_mesh: ReadMesh) -> Shape:
+def collision_shape(collision: ElementTree.Element, subject: str, read_mesh: ReadMesh) -> Shape:
+    """Return the shape of a ``<collision>`` element; ``subject`` names it in errors.
+
+    Raises:
+        InvalidInputError: If it is malformed, or its mesh is missing or unreadable.
+    """
     geometry = collision.find("geometry")
     shapes = [] if geometry is None else list(geometry)
     if len(shapes) != 1:
