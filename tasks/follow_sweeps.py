@@ -33,7 +33,7 @@ class SweepParams(Params):
     )
 
 
-@stage(version=1)
+@stage(version=2)
 def follow_sweeps(
     cell: CellModel,
     mesh: PartMesh,
@@ -48,25 +48,18 @@ def follow_sweeps(
     Raises:
         InvalidInputError: If the inputs do not belong together, the arm has no inverse kinematics, or the start
             configuration collides.
-        InfeasibleError: If the robot's base collides with the part or the cell, so that no sweep can be executed.
     """
     from cellwright.cell.scene import Scene
-    from cellwright.errors import InfeasibleError, InvalidInputError
+    from cellwright.errors import InvalidInputError
     from cellwright.solvers.sweep_following import follow_sweeps as follow
     from cellwright.solvers.sweep_poses import FollowSettings
     from schemas.cell_objects import build_cell
-    from schemas.reach_objects import reachability_of, standing_pair, sweeps_to_follow
+    from schemas.reach_objects import reachability_of, sweeps_to_follow
 
     T_world_part = params.T_world_part.matrix()
     built = build_cell(cell, mesh, T_world_part)
     sweeps = sweeps_to_follow(viewpoints, measurability, T_world_part)
     scene = Scene(built, params.clearance_m)
-    touching = standing_pair(scene, built)
-    if touching is not None:
-        raise InfeasibleError(
-            f"{touching[0]} and {touching[1]} both stand still and are closer than {params.clearance_m * 1e3:.4g} mm, "
-            "so no configuration is free: move one of them, or lower planner.reachability.clearance"
-        )
     touching = scene.colliding_pair(built.start)
     if touching is not None:  # said before the long search instead of after it
         raise InvalidInputError(

@@ -20,7 +20,7 @@ _MAX_STEP = 0.5
 """Longest Newton step of any joint in rad: longer ones leave the range in which the linearisation holds."""
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, _nrt=False)
 def multiply_into(A: FloatArray, B: FloatArray, out: FloatArray) -> None:
     """Write the product of two poses (4, 4) to ``out``, which must be neither of them."""
     for row in range(3):
@@ -31,7 +31,7 @@ def multiply_into(A: FloatArray, B: FloatArray, out: FloatArray) -> None:
     out[3, 3] = 1.0
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, _nrt=False)
 def link_poses_into(T_parent_joint: FloatArray, axis: FloatArray, q: FloatArray, out: FloatArray) -> None:
     """Write the poses of base (identity) and links to ``out`` (joints + 1, 4, 4); Rodrigues' formula a joint."""
     for row in range(4):
@@ -86,7 +86,7 @@ def flange_poses(T_parent_joint: FloatArray, axis: FloatArray, T_last_flange: Fl
     return out
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, _nrt=False)
 def jacobian_into(links: FloatArray, axis: FloatArray, p_flange: FloatArray, out: FloatArray) -> None:
     """Write the geometric Jacobian (6, joints) of the point ``p_flange`` (3,) from link poses to ``out``."""
     for joint in range(len(axis)):
@@ -139,7 +139,7 @@ def pose_error_into(T: FloatArray, T_target: FloatArray, out: FloatArray) -> Non
     out[3], out[4], out[5] = scale * x, scale * y, scale * z
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, _nrt=False)
 def solve_in_place(A: FloatArray, b: FloatArray) -> bool:
     """Solve ``A x = b`` by Gaussian elimination with partial pivoting; ``b`` becomes x. False if singular."""
     n = len(b)

@@ -22,6 +22,7 @@ import numpy as np
 
 from cellwright.arrays import BoolArray, Float32Array, FloatArray, Int32Array, IntArray
 from cellwright.cell.bodies import Box, Capsule, Cylinder, Mesh, Shape, Sphere
+from cellwright.cell.mesh_topology import is_closed_and_oriented
 from cellwright.cell.transforms import inverse
 
 BOX, CYLINDER, SPHERE, CAPSULE, FIELD, UNTABLED = range(6)
@@ -56,15 +57,6 @@ class DistanceField:
         return grid_nodes(self.origin, self.spacing, self.lower.shape)
 
 
-def is_closed(faces: Int32Array | IntArray) -> bool:
-    """Tell whether every edge of the faces (m, 3) belongs to two faces that run along it in opposite directions."""
-    directed = np.asarray(faces, np.int64)[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
-    n = int(directed.max(initial=0)) + 1
-    forward = np.sort(directed[:, 0] * n + directed[:, 1])
-    backward = np.sort(directed[:, 1] * n + directed[:, 0])
-    return bool(len(forward)) and bool((np.diff(forward) > 0).all()) and bool((forward == backward).all())
-
-
 def grid_nodes(origin: FloatArray, spacing: float, shape: tuple[int, ...]) -> FloatArray:
     """Return the nodes of a grid in C order, (n, 3) in m."""
     axes = [origin[axis] + spacing * np.arange(shape[axis]) for axis in range(3)]
@@ -86,7 +78,7 @@ def mesh_field(mesh: Mesh, *, spacing: float, padding: float, most_nodes: int = 
     distance = _unsigned_distances(vertices, mesh.faces, grid_nodes(origin, spacing, shape)).reshape(shape)
     # welded, because STL files give each triangle its own vertices
     _, welded = np.unique(vertices, axis=0, return_inverse=True)
-    closed = is_closed(welded.reshape(-1)[mesh.faces])
+    closed = is_closed_and_oriented(welded.reshape(-1)[mesh.faces])
     clear = distance > 0.5 * spacing + 2.0 * _ROUNDING
     lower, upper = distance.copy(), distance.copy()
     lower[~clear] *= -1.0
@@ -181,7 +173,7 @@ def primitive_code(shape: Box | Cylinder | Sphere | Capsule) -> tuple[int, tuple
             return CAPSULE, (radius, 0.5 * length, 0.0)
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, _nrt=False)
 def primitive_distance(kind: int, a: float, b: float, c: float, x: float, y: float, z: float) -> float:
     """Return the exact signed distance in m of the point (x, y, z) in the body's frame to a simple shape."""
     if kind == SPHERE:
@@ -197,7 +189,7 @@ def primitive_distance(kind: int, a: float, b: float, c: float, x: float, y: flo
     return math.sqrt(out_u * out_u + out_v * out_v + out_w * out_w) + min(max(u, v, w), 0.0)
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, _nrt=False)
 def _in_body(real: FloatArray, body: int, x: float, y: float, z: float) -> tuple[float, float, float]:
     # element by element: slices of arrays would be counted and uncounted, which costs more than the arithmetic
     return (
@@ -207,7 +199,7 @@ def _in_body(real: FloatArray, body: int, x: float, y: float, z: float) -> tuple
     )
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, _nrt=False)
 def _box_distance(real: FloatArray, body: int, x: float, y: float, z: float) -> float:
     """Return the distance in m of a point of the body's frame to the bounding box of a mesh, 0 inside."""
     out_x = max(real[body, 19] - x, x - real[body, 22], 0.0)
@@ -216,7 +208,7 @@ def _box_distance(real: FloatArray, body: int, x: float, y: float, z: float) -> 
     return math.sqrt(out_x * out_x + out_y * out_y + out_z * out_z)
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, _nrt=False)
 def outer_distance(real: FloatArray, whole: IntArray, body: int, x: float, y: float, z: float) -> float:
     """Return a quick lower bound in m of the signed distance to a body: exact, or that to a mesh's bounding box.
 
@@ -229,7 +221,7 @@ def outer_distance(real: FloatArray, whole: IntArray, body: int, x: float, y: fl
     return float(primitive_distance(whole[body, 0], real[body, 0], real[body, 1], real[body, 2], x, y, z))
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, _nrt=False)
 def distance_bounds(
     real: FloatArray,
     whole: IntArray,

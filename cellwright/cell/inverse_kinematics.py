@@ -2,12 +2,14 @@
 
 The solver is chosen by the chain's geometry: our closed form for three parallel axes (Universal Robots), EAIK's
 subproblem decompositions (spherical wrists and others; Ostermeier et al. 2025), crx-kinematics for offset wrists,
-ssik for any other six-axis arm. A solver is taken only if it finds back the configurations that random poses were
-made from. Every candidate is polished by Newton's method and dropped unless its flange pose is within 1e-6 m and
-1e-6 rad of the asked one.
+elimination (`cellwright.cell.general_arm`) for any other six-axis arm, and ssik for what that leaves out. A solver is
+taken only if it finds back the configurations that random poses were made from. Every candidate is polished by
+Newton's method and dropped unless its flange pose is within 1e-6 m and 1e-6 rad of the asked one.
 
-Cost a pose with certification: 4 us closed form, 9 us EAIK, 25 us offset wrist, milliseconds by ssik, which also
-takes about a minute once per geometry (it keeps its derivation in the user's cache folder).
+Cost a pose with certification: 4 us closed form, 10 us EAIK, 25 us offset wrist, 0.3 ms for each variant of the
+elimination that the arm needs (two to five), milliseconds by ssik, which also takes up to a minute once per geometry
+(it keeps its derivation in the user's cache folder). Solvers that slow are asked at a few poses of a path only, see
+`cellwright.cell.branch_tracking`.
 """
 
 from __future__ import annotations
@@ -22,10 +24,11 @@ import numba
 import numpy as np
 
 from cellwright.arrays import FloatArray
-from cellwright.cell import offset_wrist, parallel_axes
+from cellwright.cell import general_arm, offset_wrist, parallel_axes
 from cellwright.cell.axis_frames import axes_at_zero
 from cellwright.cell.chain_kinematics import (
     flange_poses,
+    jacobian,
     link_poses_into,
     multiply_into,
     pose_error_into,
@@ -36,6 +39,7 @@ from cellwright.errors import InvalidInputError
 
 PARALLEL_AXES = "three parallel axes"
 OFFSET_WRIST = "offset wrist"
+ELIMINATION = "general six-axis, by elimination"
 GENERAL = "general six-axis"
 CERTIFIED = 1e-6
 """Largest error of a returned branch, in m and in rad."""
@@ -48,6 +52,10 @@ _MOST_POLISH = 0.1
 _SAME = 1e-5
 """Configurations that differ by less than this in every joint are one branch, rad."""
 _TRIALS = 60
+_MORE_TRIALS = 400
+"""For the elimination, which loses a branch of one pose in a hundred before an arm has the variants that it needs."""
+_REGULAR = 1e-3
+"""Trials whose Jacobian has a singular value below this (m, rad) do not count there: roots run together."""
 
 Candidates = Callable[[FloatArray], FloatArray]
 """Poses (n, 4, 4) to candidate configurations (n, branches, 6), NaN rows where there are fewer."""
@@ -92,6 +100,11 @@ class InverseKinematics:
         certify(chain.T_parent_joint, chain.axis, chain.T_last_flange, poses, found)
         return found if self.family == PARALLEL_AXES else _sorted(found, self.n_branches)
 
+    @property
+    def slow(self) -> bool:
+        """Whether a pose takes so long that a path is better followed from a few solved poses."""
+        return self.family in (ELIMINATION, GENERAL)
+
 
 def inverse_kinematics_for(chain: Chain) -> InverseKinematics:
     """Choose and try out the solver for an arm.
@@ -105,7 +118,7 @@ def inverse_kinematics_for(chain: Chain) -> InverseKinematics:
             "choose base and flange links with six joints between them"
         )
     tried: list[str] = []
-    for make in (_by_parallel_axes, _by_eaik, _by_offset_wrist, _by_ssik):
+    for make in (_by_parallel_axes, _by_eaik, _by_offset_wrist, _by_elimination, _by_ssik):
         solver = make(chain)
         if solver is not None:
             missed = _missed(solver)
@@ -237,7 +250,10 @@ def _missed(solver: InverseKinematics) -> int:
     """Count random configurations that the solver does not find back from their poses."""
     chain = solver.chain
     generator = np.random.default_rng(0)
-    q = generator.uniform(-math.pi, math.pi, (_TRIALS, 6))
+    q = generator.uniform(-math.pi, math.pi, (_MORE_TRIALS if solver.family == ELIMINATION else _TRIALS, 6))
+    if solver.family == ELIMINATION:
+        J = np.array([jacobian(chain.T_parent_joint, chain.axis, chain.T_last_flange, row) for row in q])
+        q = q[np.linalg.svd(J, compute_uv=False)[:, -1] > _REGULAR]
     poses = flange_poses(chain.T_parent_joint, chain.axis, chain.T_last_flange, q)
     found = solver.solve(poses)
     apart = np.abs(np.remainder(found - q[:, None] + math.pi, 2.0 * math.pi) - math.pi).max(axis=2)
@@ -281,6 +297,22 @@ def _by_offset_wrist(chain: Chain) -> InverseKinematics | None:
         return None
     solver = offset_wrist.OffsetWristSolver(geometry)
     return InverseKinematics(OFFSET_WRIST, offset_wrist.N_BRANCHES, chain, solver.candidates)
+
+
+def _by_elimination(chain: Chain) -> InverseKinematics | None:
+    """Take as many variants of the arm as find every trial back, and one to spare; None if all together do not."""
+    arms = general_arm.variants(chain)
+    for count in range(1, len(arms)):
+        if _missed(_eliminating(chain, arms[:count])) == 0:
+            return _eliminating(chain, arms[: count + 1])
+    return None
+
+
+def _eliminating(chain: Chain, arms: list[general_arm.GeneralArm]) -> InverseKinematics:
+    def candidates(poses: FloatArray) -> FloatArray:
+        return general_arm.candidates(chain, arms, poses)
+
+    return InverseKinematics(ELIMINATION, general_arm.N_BRANCHES, chain, candidates)
 
 
 def _by_ssik(chain: Chain) -> InverseKinematics:

@@ -50,7 +50,7 @@ class SphereFilter:
         carrier: Link that carries each moving body, 1 to joints, (moving,).
         distance: Distances, first of the standing bodies, in the frame of the robot's base, then of the moving ones,
             in the frame of their link.
-        hull_points, hull_real, hull_whole: Hulls of the same bodies, see `hull_table`.
+        hull_points, hull_edge, hull_real, hull_whole: Hulls of the same bodies, see `hull_table`.
         pair: Pairs to check: moving body with balls, row of the other's distance and hull, link that carries the
             other (0: it stands still), its moving body (-1: none), its row of the cell's bodies, row of the first
             one's hull, whether both fill their hulls; (pairs, 7).
@@ -63,6 +63,7 @@ class SphereFilter:
     carrier: IntArray
     distance: DistanceTable
     hull_points: FloatArray
+    hull_edge: IntArray
     hull_real: FloatArray
     hull_whole: IntArray
     pair: IntArray
@@ -73,7 +74,7 @@ class SphereFilter:
         d = self.distance
         return (
             *(self.node, self.child, self.carrier, d.real, d.whole, d.lower, d.upper),
-            *(self.hull_points, self.hull_real, self.hull_whole, self.pair, self.lever),
+            *(self.hull_points, self.hull_edge, self.hull_real, self.hull_whole, self.pair, self.lever),
         )
 
 
@@ -211,7 +212,7 @@ def _bounding_ball(centres: FloatArray, radii: FloatArray) -> FloatArray:
     return np.array([*centre, radius, -math.inf])
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, _nrt=False)
 def greatest_shift(poses: FloatArray, later: FloatArray, link: int, node: FloatArray, body: int) -> float:
     """Return the furthest that a point of a moving body goes when its link goes from one pose to another, in m.
 
@@ -229,7 +230,7 @@ def greatest_shift(poses: FloatArray, later: FloatArray, link: int, node: FloatA
     return float(math.sqrt(way) + node[body, 3] * math.sqrt(0.5 * turn))
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, _nrt=False)
 def ball_bounds(
     node: FloatArray,
     real: FloatArray,
@@ -249,7 +250,7 @@ def ball_bounds(
     return least, most
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, _nrt=False)
 def centres_into(node: FloatArray, carrier: IntArray, links: FloatArray, out: FloatArray) -> None:
     """Write the centres of the bounding balls in the base to ``out`` (moving, 3); link poses (joints + 1, 4, 4)."""
     for m in range(len(carrier)):
@@ -261,7 +262,7 @@ def centres_into(node: FloatArray, carrier: IntArray, links: FloatArray, out: Fl
             )
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, _nrt=False)
 def bounding_gap(
     node: FloatArray, real: FloatArray, whole: IntArray, pair: IntArray, p: int, centres: FloatArray
 ) -> float:
@@ -274,7 +275,7 @@ def bounding_gap(
     return float(outer_distance(real, whole, pair[p, 1], x, y, z) - node[m, 3])
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, _nrt=False)
 def compare_bodies(
     node: FloatArray,
     child: IntArray,
@@ -283,6 +284,7 @@ def compare_bodies(
     lower: Float32Array,
     upper: Float32Array,
     hull_points: FloatArray,
+    hull_edge: IntArray,
     hull_real: FloatArray,
     hull_whole: IntArray,
     pair: IntArray,
@@ -296,7 +298,8 @@ def compare_bodies(
     """Tell whether the two bodies of a pair, whose bounding balls do not, keep ``wanted`` m apart.
 
     ``F`` (4, 4): pose of the link that carries the first body in the frame of the other one: the base, or its link.
-    ``direction`` (pairs, 3): where the hulls' gap was last seen, zero at first; ``simplex`` (4, 3): room to work.
+    ``direction`` (pairs, 5): where the hulls' gap was last seen, see `convex_gap`, zero at first; ``simplex`` (7, 4):
+    room to work.
     Returns `FREE`, `OPEN` or `BLOCKED` (closer than ``clearance``), a lower bound of the distance in m, and the
     ball that blocks, `BY_HULL`, or `BY_NONE`.
     """
@@ -304,7 +307,7 @@ def compare_bodies(
     if direction[p, 0] == 0.0 and direction[p, 1] == 0.0 and direction[p, 2] == 0.0:
         direction[p, 2] = -1.0
     gap, most = convex_gap(
-        hull_points, hull_real, hull_whole, d, pair[p, 5], F, wanted, clearance, direction[p], simplex
+        hull_points, hull_edge, hull_real, hull_whole, d, pair[p, 5], F, wanted, clearance, direction[p], simplex
     )
     if gap >= wanted:
         return FREE, gap, BY_NONE
@@ -324,7 +327,7 @@ def compare_bodies(
     return (FREE if least >= wanted else OPEN), least, BY_NONE
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, _nrt=False)
 def relative_into(poses: FloatArray, link: int, other: int, out: FloatArray) -> None:
     """Write the pose of the link ``other`` as seen from ``link`` to ``out``; ``poses`` (joints + 1, 4, 4)."""
     for row in range(3):

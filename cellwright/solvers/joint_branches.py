@@ -12,6 +12,8 @@ from cellwright.arrays import BoolArray, FloatArray, IntArray
 TURN = 2.0 * math.pi
 ON_LIMIT = 1e-9
 """Radians by which rounding may put a joint beyond its limit."""
+_SURELY_NEAR = 3.14
+"""Angles closer than this are less than half a turn apart, whatever the rounding."""
 GREATEST_TURN = 0.5
 """Largest joint change a step in rad, however slow the scan: beyond it nearest solutions are no proof of continuity."""
 
@@ -22,19 +24,30 @@ def greatest_changes(max_velocity: FloatArray, step: float, scan_speed: float) -
     return np.minimum(max_velocity * (step / scan_speed), GREATEST_TURN)
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, _nrt=False)
 def unwrapped(angle: float, near: float) -> float:
     """Return ``angle`` plus the full turns that bring it closest to ``near``."""
+    if abs(near - angle) < _SURELY_NEAR:  # saves the division on most poses
+        return angle
     return angle + TURN * math.floor((near - angle) / TURN + 0.5)
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, _nrt=False)
 def turns_within(q: float, lower: float, upper: float) -> tuple[int, int]:
     """Return the least and the most full turns that bring ``q`` into its limits; least > most if none does."""
     return math.ceil((lower - q - ON_LIMIT) / TURN), math.floor((upper - q + ON_LIMIT) / TURN)
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, _nrt=False)
+def within_limits(q: float, lower: float, upper: float) -> bool:
+    """Tell whether some number of full turns brings ``q`` into its limits."""
+    if lower <= q <= upper:  # saves the divisions on most states
+        return True
+    least, most = turns_within(q, lower, upper)
+    return bool(least <= most)
+
+
+@numba.njit(cache=True, nogil=True, _nrt=False)
 def _change(before: FloatArray, after: FloatArray, greatest: FloatArray) -> float:
     """Return the largest joint change between two solutions as a share of the greatest one permitted."""
     share = 0.0
@@ -94,6 +107,8 @@ def order_branches(q: FloatArray, places_kept: bool, greatest: FloatArray, linke
             linked[k, branch] = False
             if math.isnan(q[k, branch, 0]) or math.isnan(q[k - 1, branch, 0]):
                 continue
-            linked[k, branch] = _change(q[k - 1, branch], q[k, branch], greatest) <= 1.0
+            goes_on = True
             for joint in range(n_joints):
                 q[k, branch, joint] = unwrapped(q[k, branch, joint], q[k - 1, branch, joint])
+                goes_on = goes_on and abs(q[k, branch, joint] - q[k - 1, branch, joint]) <= greatest[joint]
+            linked[k, branch] = goes_on

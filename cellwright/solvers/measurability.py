@@ -148,6 +148,7 @@ def measured_by_any(
     sweeps: Sweeps,
     *,
     n_threads: int | None = None,
+    progress: Callable[[float], None] | None = None,
 ) -> BoolArray:
     """Tell for each point whether some sweep measures it, (points,); points drop out as soon as one does."""
     measured = np.zeros(len(points), bool)
@@ -162,6 +163,8 @@ def measured_by_any(
         measured[open_rows[found.cause == Cause.NONE]] = True
         open_rows = open_rows[found.cause != Cause.NONE]
         begin, size = rows.stop, 2 * size
+        if progress is not None:
+            progress(begin / len(sweeps))
     return measured
 
 

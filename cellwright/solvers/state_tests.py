@@ -46,9 +46,9 @@ def tool_states(
     blocker: Int32Array,
 ) -> None:
     """Test what the last link carries against what stands still, at each pose (n, 4, 4) of the last link."""
-    node, child, carrier, real, whole, lower, upper, hull_points, hull_real, hull_whole, pair, _ = f
+    node, child, carrier, real, whole, lower, upper, hull_points, hull_edge, hull_real, hull_whole, pair, _ = f
     n_pairs = len(pair)
-    reserve, direction, simplex = np.full(n_pairs, -1.0), np.zeros((n_pairs, 3)), np.empty((4, 3))
+    reserve, direction, simplex = np.full(n_pairs, -1.0), np.zeros((n_pairs, 5)), np.empty((7, 4))
     # all bodies are placed as if the last link carried them; only its own are looked at
     links, centres = np.empty((last + 1, 4, 4)), np.empty((len(carrier), 3))
     wanted = max(clearance, BETWEEN_POSES * step)
@@ -72,6 +72,7 @@ def tool_states(
                 lower,
                 upper,
                 hull_points,
+                hull_edge,
                 hull_real,
                 hull_whole,
                 pair,
@@ -88,7 +89,7 @@ def tool_states(
                 break
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, _nrt=False)
 def witnessed(
     node: FloatArray,
     carrier: IntArray,
@@ -97,6 +98,7 @@ def witnessed(
     lower: Float32Array,
     upper: Float32Array,
     hull_points: FloatArray,
+    hull_edge: IntArray,
     hull_real: FloatArray,
     hull_whole: IntArray,
     pair: IntArray,
@@ -115,6 +117,7 @@ def witnessed(
     if ball == BY_HULL:
         _, most = convex_gap(
             hull_points,
+            hull_edge,
             hull_real,
             hull_whole,
             pair[p, 1],
@@ -130,7 +133,7 @@ def witnessed(
     return bool(high - node[ball, 4] < clearance)
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, _nrt=False)
 def arm_state(
     node: FloatArray,
     child: IntArray,
@@ -140,6 +143,7 @@ def arm_state(
     lower: Float32Array,
     upper: Float32Array,
     hull_points: FloatArray,
+    hull_edge: IntArray,
     hull_real: FloatArray,
     hull_whole: IntArray,
     pair: IntArray,
@@ -182,6 +186,7 @@ def arm_state(
             lower,
             upper,
             hull_points,
+            hull_edge,
             hull_real,
             hull_whole,
             pair,

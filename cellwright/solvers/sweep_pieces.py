@@ -23,7 +23,7 @@ ON_END = 1e-9
 """Metres by which rounding may put a sample beyond the end of a piece."""
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, _nrt=False)
 def n_between(travel: FloatArray, start: float, end: float) -> int:
     """Count the sorted travels (m) from ``start`` to ``end``."""
     return int(
@@ -31,7 +31,7 @@ def n_between(travel: FloatArray, start: float, end: float) -> int:
     )
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, _nrt=False)
 def _narrowed(q: FloatArray, lower: FloatArray, upper: FloatArray, least: FloatArray, most: FloatArray) -> bool:
     """Intersect the permitted turns (joints,) with those of one configuration; False if none is left."""
     possible = True
@@ -113,7 +113,7 @@ def wound_into(q: FloatArray, lower: FloatArray, upper: FloatArray, reference: F
     return True
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, _nrt=False)
 def _is_alone(status: Int8Array, k: int) -> bool:
     """Tell whether pose ``k`` of a branch is clear but no pose beside it is, although there is one."""
     before, after = k > 0 and status[k - 1] == CLEAR, k + 1 < len(status) and status[k + 1] == CLEAR

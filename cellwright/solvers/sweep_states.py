@@ -19,7 +19,7 @@ import numpy as np
 from cellwright.arrays import BoolArray, FloatArray, Int8Array, Int32Array, IntArray
 from cellwright.cell.chain_kinematics import link_poses_into
 from cellwright.cell.sphere_filter import BY_NONE, greatest_shift
-from cellwright.solvers.joint_branches import order_branches, turns_within
+from cellwright.solvers.joint_branches import order_branches, within_limits
 from cellwright.solvers.state_tests import (
     BEYOND_LIMITS,
     CLEAR,
@@ -50,7 +50,7 @@ def _mark_blocked(
 
     The stride is at most the shortest piece in steps, so no piece that would count fits between the two.
     """
-    node, child, carrier, real, whole, lower, upper, hull_points, hull_real, hull_whole, pair, _ = f
+    node, child, carrier, real, whole, lower, upper, hull_points, hull_edge, hull_real, hull_whole, pair, _ = f
     n, n_joints = q.shape
     links, relative = np.empty((n_joints + 1, 4, 4)), np.empty((4, 4))
     centres = np.empty((len(carrier), 3))
@@ -68,6 +68,7 @@ def _mark_blocked(
                 lower,
                 upper,
                 hull_points,
+                hull_edge,
                 hull_real,
                 hull_whole,
                 pair,
@@ -88,6 +89,7 @@ def _mark_blocked(
                     lower,
                     upper,
                     hull_points,
+                    hull_edge,
                     hull_real,
                     hull_whole,
                     pair,
@@ -114,7 +116,7 @@ def _mark_blocked(
         before = k
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, _nrt=False)
 def _shifts_into(
     node: FloatArray,
     carrier: IntArray,
@@ -165,13 +167,13 @@ def _branch_states(
     ``shift`` (poses,) receives how far any two bodies move against each other since the pose before, in m, where
     the two states are linked and neither collides.
     """
-    node, child, carrier, real, whole, lower, upper, hull_points, hull_real, hull_whole, pair, lever = f
+    node, child, carrier, real, whole, lower, upper, hull_points, hull_edge, hull_real, hull_whole, pair, lever = f
     n, n_joints = q.shape
     n_pairs = len(pair)
     links, following = np.empty((n_joints + 1, 4, 4)), np.empty((n_joints + 1, 4, 4))
     before, after, ways = np.zeros(n_pairs), np.zeros(n_pairs), np.empty(len(carrier))
     reserve, relative, centres = np.full(n_pairs, -1.0), np.empty((4, 4)), np.empty((len(carrier), 3))
-    direction, simplex, witness = np.zeros((n_pairs, 3)), np.empty((4, 3)), np.array([0, BY_NONE])
+    direction, simplex, witness = np.zeros((n_pairs, 5)), np.empty((7, 4)), np.array([0, BY_NONE])
     shift[:] = 0.0
     for k in range(n):
         if status[k] == CLEAR and tool_status[k] == COLLIDING:
@@ -192,6 +194,7 @@ def _branch_states(
             lower,
             upper,
             hull_points,
+            hull_edge,
             hull_real,
             hull_whole,
             pair,
@@ -225,6 +228,7 @@ def _branch_states(
             lower,
             upper,
             hull_points,
+            hull_edge,
             hull_real,
             hull_whole,
             pair,
@@ -290,10 +294,8 @@ def classify_sweep(
             status[branch, k] = UNREACHED if math.isnan(q[k, branch, 0]) else CLEAR
             for joint in range(n_joints):
                 path[k, joint] = q[k, branch, joint]
-                if status[branch, k] == CLEAR:
-                    least, most = turns_within(path[k, joint], lowest[joint], highest[joint])
-                    if least > most:
-                        status[branch, k] = BEYOND_LIMITS
+                if status[branch, k] == CLEAR and not within_limits(path[k, joint], lowest[joint], highest[joint]):
+                    status[branch, k] = BEYOND_LIMITS
         _branch_states(
             *(f, T_parent_joint, axis, path, linked[branch], stride, clearance, tool_status, tool_blocker),
             *(status[branch], blocker[branch], shift[branch]),

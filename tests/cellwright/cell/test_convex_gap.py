@@ -48,7 +48,7 @@ def geometry(shape: Shape):
 
 def gap(a: Shape, b: Shape, T: np.ndarray, wanted: float = 1e9, clearance: float = -1e9, direction=(0.3, -0.5, 0.8)):
     table = hull_table([hull_of(a, np.eye(4)), hull_of(b, np.eye(4))])
-    return convex_gap(*table, 0, 1, T, wanted, clearance, np.array(direction, float), np.empty((4, 3)))
+    return convex_gap(*table, 0, 1, T, wanted, clearance, np.array([*direction, 0, 0], float), np.empty((7, 4)))
 
 
 @settings(deadline=None)

@@ -9,7 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cellwright.cell.bodies import Box, Capsule, Cylinder, Mesh, Shape, Sphere
-from cellwright.cell.distance_field import distance_bounds, distance_table, is_closed, mesh_field
+from cellwright.cell.distance_field import distance_bounds, distance_table, mesh_field
+from cellwright.cell.mesh_topology import is_closed_and_oriented
 from cellwright.cell.transforms import pose
 from tests.cellwright.cell.cells import bumpy_part
 
@@ -87,7 +88,7 @@ def test_an_open_shell_is_enclosed_for_safety_but_claims_no_solid():
     solid = trimesh.creation.icosphere(subdivisions=3, radius=0.1)
     # a hole smaller than the grid: the flood stays outside
     shell = Mesh(np.asarray(solid.vertices, float), np.asarray(solid.faces[1:], np.int32))
-    assert not is_closed(shell.faces)
+    assert not is_closed_and_oriented(shell.faces)
     low, high = bounds_at(shell, [(0.0, 0.0, 0.0)])[0]
     assert low < -0.09
     assert high > 0.09

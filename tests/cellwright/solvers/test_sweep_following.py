@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 
 from cellwright.causes import Cause
+from cellwright.cell import inverse_kinematics
 from cellwright.cell.bodies import WORLD, Body, Box
 from cellwright.cell.cell import Cell
 from cellwright.cell.chain_kinematics import track_pose
 from cellwright.cell.inverse_kinematics import inverse_kinematics_for
+from cellwright.cell.robot import Robot
 from cellwright.cell.scene import Scene
 from cellwright.cell.transforms import inverse, pose
 from cellwright.errors import InvalidInputError
@@ -17,6 +19,7 @@ from cellwright.solvers.joint_branches import greatest_changes, unwrapped
 from cellwright.solvers.sweep_following import FollowedSweeps, follow_sweeps
 from cellwright.solvers.sweep_poses import CandidateSweeps, FollowSettings, sweep_poses
 from tests.cellwright.cell.cells import at, bumpy_part, scanning_cell
+from tests.cellwright.cell.robots import chain_of_facts, urdf_of
 from tests.cellwright.cell.test_sphere_filter import crx_at_a_part
 
 SETTINGS = FollowSettings(scan_speed=0.1)
@@ -363,3 +366,36 @@ def test_an_arm_with_sixteen_branches_follows_sweeps_too():
         assert not touching.collide_all(q).any()
         assert np.abs(np.diff(q, axis=0)).max() < 0.12
         assert (q >= built.robot.chain.lower - 1e-6).all() and (q <= built.robot.chain.upper + 1e-6).all()
+
+
+def test_a_slow_solver_asked_at_few_poses_gives_the_pieces_of_the_closed_form(monkeypatch):
+    sweeps = sweeps_around(30)
+    expected = follow_sweeps(cell(), sweeps, settings=SETTINGS)
+    solver = inverse_kinematics._by_elimination(cell().robot.chain)
+    assert solver is not None and solver.slow
+    monkeypatch.setattr("cellwright.solvers.sweep_following.inverse_kinematics_for", lambda chain: solver)
+    found = follow_sweeps(cell(), sweeps, settings=SETTINGS)
+    assert len(expected.sweep) > 10
+    assert pieces_of(found) == pieces_of(expected)
+
+
+def pieces_of(found: FollowedSweeps) -> list[tuple[int, float, float, int]]:
+    columns = (found.sweep, found.start.round(9), found.end.round(9), found.n_samples)
+    return sorted(zip(*(column.tolist() for column in columns)))
+
+
+@pytest.mark.parametrize("name", ["kr180_r2500_extra", "irb6640_irb6400"])
+def test_big_arms_with_spherical_wrists_follow_sweeps(name):
+    robot = Robot.from_urdf(urdf_of(chain_of_facts(name)))
+    housing = Body("housing", Box((0.1, 0.08, 0.1)), 6, robot.chain.T_last_flange @ at(0, 0, 0.05))
+    bare = Cell(robot, (housing,), np.empty((0, 2), np.int32), np.eye(4), at(0, 0, 0.2), np.zeros(6))
+    centre = np.array([1.6, 0.0, 0.9])
+    built = bare.with_part(bumpy_part(2), at(*centre))
+    sweeps = sweeps_around(20, centre=centre, reach=0.35)
+    found = follow_sweeps(built, sweeps, settings=SETTINGS)
+    assert len(np.unique(found.sweep)) >= 5
+    for row in range(0, len(found.sweep), 3):
+        q = traced(
+            built, sweeps.T_world_scanner[found.sweep[row]], found.q_start[row], found.start[row], found.end[row], 0.001
+        )
+        assert not Scene(built, 0.0).collide_all(q).any()
