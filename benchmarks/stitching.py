@@ -1,12 +1,13 @@
 """How long do ordering, connecting, timing and verifying take? Run: ``python -m benchmarks.stitching [sweeps]``.
 
-A UR10e before a cylinder, sweeps from random directions around it with every branch that is free. Times are
+A UR10e before a cylinder among posts, sweeps from random directions around it with every branch that is free. Times are
 processor seconds after one warm-up run, which pays for imports and compilation. Shares of one run say where time
 goes; the collision checks are timed apart as the bare kernel that the rest is compared with.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import sys
 import time
 from collections.abc import Callable
@@ -14,13 +15,19 @@ from typing import Any
 
 import numpy as np
 
+from cellwright.cell.bodies import WORLD, Body, Cylinder
+from cellwright.cell.cell import Cell
 from cellwright.cell.inverse_kinematics import inverse_kinematics_for
+from cellwright.cell.motion_filter import FilteredScene
 from cellwright.cell.scene import Scene
+from cellwright.cell.transforms import pose
 from cellwright.cell.verification_scene import VerificationScene
 from cellwright.solvers.order_kernels import held_karp
 from cellwright.solvers.plan_verification import Tolerances, check_collisions
 from cellwright.solvers.planned_sweep import ExecutablePiece, PlannedSweep
-from cellwright.solvers.stitching import StitchedPlan, StitchSettings, stitch
+from cellwright.solvers.stitched_plan import StitchedPlan, StitchSettings
+from cellwright.solvers.stitching import stitch
+from cellwright.solvers.sweep_access import NamingChecker
 from cellwright.solvers.sweep_alternatives import flange_targets, trace_sweep
 from schemas.plan_objects import timed_plan, trajectory_of
 from tests.cellwright.solvers import scanning_cell
@@ -38,9 +45,19 @@ class CountingScene(Scene):
         return super()._first_colliding(q)
 
 
-def random_sweeps(n: int, seed: int) -> list[PlannedSweep]:
+def cluttered_cell() -> Cell:
+    """Return the cell with posts between the sweeps, so that few of them are connected by straight motions."""
+    cell = scanning_cell.cell()
+    posts = []
+    for number, angle in enumerate((-2.5, -1.5, -0.5, 0.5, 1.5, 2.5)):
+        at = scanning_cell.PART_AT + np.array([0.33 * np.cos(angle), 0.33 * np.sin(angle), 0.3])
+        posts.append(Body(f"post {number}", Cylinder(0.015, 0.6), WORLD, pose(at, np.eye(3))))
+    return dataclasses.replace(cell, bodies=(*cell.bodies, *posts))
+
+
+def random_sweeps(cell: Cell, n: int, seed: int) -> list[PlannedSweep]:
     """Return sweeps around the part that have at least one free branch."""
-    rng, cell = np.random.default_rng(seed), scanning_cell.cell()
+    rng = np.random.default_rng(seed)
     scene, solver = Scene(cell, 0.005), inverse_kinematics_for(cell.robot.chain)
     interval = (-HALF_TRAVEL, HALF_TRAVEL)
     found: list[PlannedSweep] = []
@@ -65,22 +82,28 @@ def timed(what: Callable[[], Any]) -> tuple[float, Any]:
 
 
 def main(n_sweeps: int) -> None:
-    cell, sweeps, settings = scanning_cell.cell(), random_sweeps(n_sweeps, 1), StitchSettings(step=0.035)
+    cell, settings = cluttered_cell(), StitchSettings(step=0.035)
+    sweeps = random_sweeps(cell, n_sweeps, 1)
     scene = CountingScene(cell, 0.005)
 
-    def plan() -> StitchedPlan:
-        return stitch(cell, scene, sweeps, settings=settings, method="best", rng=np.random.default_rng(0))
+    def plan(checker: NamingChecker = scene) -> StitchedPlan:
+        return stitch(cell, checker, sweeps, settings=settings, method="best", rng=np.random.default_rng(0))
 
+    plan(FilteredScene(scene))
     plan()
     scene.n_checked = 0
     t_stitch, stitched = timed(plan)
     n_checked = scene.n_checked
     configurations = np.concatenate([s.motion.position[:, :6] for s in stitched.segments])
     t_check = timed(lambda: scene.collide_all(configurations))[0] / len(configurations)
+    filtered = FilteredScene(scene)
+    t_filtered, fast = timed(lambda: plan(filtered))
     n_roadmap = sum(segment.via == "roadmap" for segment in stitched.segments)
     print(f"{n_sweeps} sweeps, {sum(len(sweep.pieces) for sweep in sweeps)} branches")
     print(f"durations {stitched.durations}, connections by roadmap {n_roadmap} of {n_sweeps}")
     print(f"stitch           {t_stitch:7.2f} s, {n_checked} collision checks of {t_check * 1e6:.0f} us")
+    same = fast.durations == stitched.durations
+    print(f"  filtered       {t_filtered:7.2f} s, {t_filtered / t_stitch:.2f} of asking the engine; same plan {same}")
     print(f"  its checks     {n_checked * t_check:7.2f} s, ratio to them {t_stitch / (n_checked * t_check):.1f}")
     if n_sweeps <= settings.exact_up_to:
         m = 2 * settings.max_alternatives * n_sweeps
@@ -92,9 +115,10 @@ def main(n_sweeps: int) -> None:
     selection = scanning_cell.selection(n_sweeps)
     timed_states = timed_plan(trajectory_of(stitched, selection), selection)
     engine = VerificationScene(cell)
-    t_verify, (checks, n_states) = timed(lambda: check_collisions(timed_states, cell, engine, Tolerances()))
-    print(f"verify           {t_verify:7.2f} s, {n_states} states, {t_verify / n_states * 1e6:.0f} us each")
-    print(f"  passed {all(check.passed for check in checks)}")
+    t_verify, proof = timed(lambda: check_collisions(timed_states, cell, engine, Tolerances()))
+    each = t_verify / proof.n_states * 1e6
+    print(f"verify           {t_verify:7.2f} s, {proof.n_states} states, {each:.0f} us each")
+    print(f"  passed {all(check.passed for check in proof.checks)}, {proof.clearance}")
 
 
 if __name__ == "__main__":

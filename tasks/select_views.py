@@ -7,12 +7,13 @@ comparison. Among equally small selections sweeps of low uncertainty are preferr
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
+from schemas.motion import Trajectory
 from schemas.params import Params
-from schemas.stage import stage
+from schemas.stage import Progress, no_progress, stage
 from schemas.views import Measurability, ViewSelection
 
 if TYPE_CHECKING:
@@ -20,8 +21,18 @@ if TYPE_CHECKING:
     from cellwright.solvers.set_cover import Cover, CoverMatrix
 
 
+_APPLIES = {
+    "best": frozenset({"node_limit", "max_work", "seed"}),
+    "greedy": frozenset[str](),
+    "exact": frozenset({"node_limit", "time_limit_s", "seed"}),
+}
+"""Which settings each method reads."""
+_EXACT_NODES = 1000
+"""Nodes that HiGHS may open where no limit is given: most parts need a few dozen."""
+
+
 class SetCoverParams(Params):
-    """Settings of the selection."""
+    """Settings of the selection; those that the method does not read take their defaults: no key hangs on them."""
 
     method: Literal["best", "greedy", "exact"] = Field(
         default="best",
@@ -31,20 +42,40 @@ class SetCoverParams(Params):
         default=1.0, gt=0, le=1, description="Share of the coverable samples that the selection has to measure."
     )
     node_limit: int | None = Field(
-        default=None, ge=1, description="Most nodes of the branch and bound; unlimited if left out."
+        default=None,
+        ge=1,
+        description="Most nodes of the branch and bound; if left out unlimited for `best`, for `exact` 1000 unless it "
+        "has a time limit.",
     )
-    time_limit_s: float = Field(default=20.0, gt=0, description="Time that HiGHS may take; only for `exact`.")
+    time_limit_s: float | None = Field(
+        default=None, gt=0, description="Time that HiGHS may take, only for `exact`; the result then depends on it."
+    )
     max_work: float = Field(
         default=6e9, gt=0, description="Matrix entries that `best` may visit, about one nanosecond each."
     )
     seed: int = Field(default=0, ge=0, description="Seed of the local search.")
 
+    @model_validator(mode="after")
+    def _only_what_applies(self) -> Self:
+        for name in {"node_limit", "time_limit_s", "max_work", "seed"} - _APPLIES[self.method]:
+            object.__setattr__(self, name, type(self).model_fields[name].default)  # frozen for everybody else
+        if self.method == "exact" and self.node_limit is None and self.time_limit_s is None:
+            object.__setattr__(self, "node_limit", _EXACT_NODES)
+        return self
+
 
 @stage(version=1)
-def select_views(measurability: Measurability, *, params: SetCoverParams) -> ViewSelection:
+def select_views(
+    measurability: Measurability,
+    earlier: Trajectory | None = None,
+    *,
+    params: SetCoverParams,
+    progress: Progress = no_progress,
+) -> ViewSelection:
     """Select views until ``min_coverage`` of the coverable samples is measured.
 
-    A sample that no view measures is a finding and keeps its cause; it does not count for the coverage.
+    A sample that no view measures is a finding and keeps its cause; it does not count for the coverage. Views that an
+    ``earlier`` trajectory leaves out are not selected; what only they measure counts as not connected.
 
     Raises:
         InvalidInputError: If an entry names a view or a sample that does not exist, or an uncertainty is not finite.
@@ -55,16 +86,18 @@ def select_views(measurability: Measurability, *, params: SetCoverParams) -> Vie
     from cellwright.causes import Cause
     from cellwright.solvers.set_cover import cover_greedily, exchange_columns
 
-    matrix, uncertainty = _matrix(measurability)
+    left_out = {} if earlier is None else dict(zip(earlier.left_out_view.tolist(), earlier.left_out_reason))
+    matrix, uncertainty = _matrix(measurability, left_out)
     tie = np.full(matrix.n_columns, np.inf)  # a view that measures nothing is never taken
     used = matrix.column_sizes > 0
     tie[used] = np.maximum.reduceat(uncertainty, matrix.column_starts[:-1][used])
     greedy = cover_greedily(matrix, tie=tie, min_coverage=params.min_coverage)
-    found = greedy if params.method == "greedy" else _small_cover(matrix, tie, params)
+    found = greedy if params.method == "greedy" else _small_cover(matrix, tie, params, progress)
     bound = _stronger_bound(matrix, greedy, params) if params.method == "greedy" else found.lower_bound
     views = found.columns if params.method == "greedy" else exchange_columns(matrix, found.columns, uncertainty)
     times = matrix.times_covered(views)
     cause = measurability.cause.copy()
+    cause[np.setdiff1d(measurability.sample, np.flatnonzero(matrix.row_sizes))] = Cause.NOT_CONNECTED
     cause[(times == 0) & (matrix.row_sizes > 0)] = Cause.NOT_SELECTED
     cause[times > 0] = Cause.NONE
     least = matrix.round_up(bound)
@@ -83,7 +116,9 @@ def select_views(measurability: Measurability, *, params: SetCoverParams) -> Vie
     )
 
 
-def _small_cover(matrix: CoverMatrix, tie: FloatArray, params: SetCoverParams) -> Cover:
+def _small_cover(matrix: CoverMatrix, tie: FloatArray, params: SetCoverParams, progress: Progress) -> Cover:
+    import numpy as np
+
     from cellwright.solvers.set_cover import cover_best, cover_exactly
 
     if params.method == "exact":
@@ -91,7 +126,7 @@ def _small_cover(matrix: CoverMatrix, tie: FloatArray, params: SetCoverParams) -
             matrix,
             tie=tie,
             min_coverage=params.min_coverage,
-            time_limit_s=params.time_limit_s,
+            time_limit_s=np.inf if params.time_limit_s is None else params.time_limit_s,
             node_limit=params.node_limit,
             seed=params.seed,
         )
@@ -102,6 +137,7 @@ def _small_cover(matrix: CoverMatrix, tie: FloatArray, params: SetCoverParams) -
         max_work=params.max_work,
         node_limit=params.node_limit,
         seed=params.seed,
+        progress=progress,
     )
 
 
@@ -113,8 +149,8 @@ def _stronger_bound(matrix: CoverMatrix, greedy: Cover, params: SetCoverParams) 
     return max(greedy.lower_bound, priced.value)
 
 
-def _matrix(measurability: Measurability) -> tuple[CoverMatrix, FloatArray]:
-    """Return the samples x views matrix and the uncertainty of each of its entries, column by column."""
+def _matrix(measurability: Measurability, left_out: dict[int, str]) -> tuple[CoverMatrix, FloatArray]:
+    """Return the samples x views matrix without ``left_out`` views, and the uncertainty of its entries by column."""
     import numpy as np
 
     from cellwright.causes import Cause
@@ -131,19 +167,26 @@ def _matrix(measurability: Measurability) -> tuple[CoverMatrix, FloatArray]:
             )
     if not np.isfinite(measurability.uncertainty_m).all():
         raise InvalidInputError("measurability holds uncertainties that are not finite: run measure_samples again")
-    if len(view) == 0:
+    kept = ~np.isin(view, list(left_out))
+    if not kept.any():
+        reasons = listed(f"view {view}: {reason}" for view, reason in left_out.items())
         values, counts = np.unique(measurability.cause, return_counts=True)
         causes = sorted(zip(counts.tolist(), values.tolist()), reverse=True)
         raise InfeasibleError(
-            f"none of {n_views} views measures any of {n_samples} samples "
-            f"({listed(f'{count} {Cause(value).label}' for count, value in causes)}): add tilts or standoffs, permit a "
-            "larger uncertainty, or move the part into the robot's reach"
+            f"none of {n_views} views measures any of {n_samples} samples"
+            + (f", {len(left_out)} aside that cannot be executed or connected ({reasons}) " if left_out else " ")
+            + f"({listed(f'{count} {Cause(value).label}' for count, value in causes)}): add tilts (theta_tilt_rad, "
+            "psi_tilt_rad) or standoffs (standoff_m), raise max_uncertainty_m, or move the part (part.pose.position) "
+            "into the robot's reach"
         )
+    view, sample, uncertainty = view[kept], sample[kept], measurability.uncertainty_m[kept]
     key = view * n_samples + sample
-    order = np.lexsort((measurability.uncertainty_m, key))
-    first = order[np.concatenate([[True], np.diff(key[order]) > 0])]  # of entries given twice the least uncertain
-    starts = np.searchsorted(view[first], np.arange(n_views + 1))
-    return cover_matrix((starts, sample[first], n_samples)), measurability.uncertainty_m[first].astype(np.float64)
+    if not (key[1:] > key[:-1]).all():  # entries as they are measured are in order, and none is there twice
+        order = np.lexsort((uncertainty, key))
+        first = order[np.concatenate([[True], np.diff(key[order]) > 0])]  # of entries given twice the least uncertain
+        view, sample, uncertainty = view[first], sample[first], uncertainty[first]
+    starts = np.searchsorted(view, np.arange(n_views + 1))
+    return cover_matrix((starts, sample, n_samples)), uncertainty.astype(np.float64)
 
 
 def _worst_assigned(matrix: CoverMatrix, views: IntArray, uncertainty: FloatArray) -> FloatArray:

@@ -2,7 +2,8 @@
 
 Connections come from one lazy probabilistic roadmap; the order is the paper's greedy one and, up to
 ``exact_up_to`` sweeps, the one proven shortest by dynamic programming on the same connection costs. Both are
-stored with their durations. Everything is timed as fast as joints and scan speed allow.
+stored with their durations, and with a lower bound. Everything is timed as fast as joints and scan speed allow.
+A view that cannot be executed or connected is left out with its reason, so that others can be selected instead.
 """
 
 from __future__ import annotations
@@ -47,33 +48,40 @@ class StitchParams(Params):
     tool_acceleration_m_s2: float = Field(default=1.0, gt=0, description="Acceleration of the scanner on a sweep.")
     sample_s: float = Field(default=0.008, gt=0, le=0.1, description="Time between states.")
     return_to_start: bool = Field(default=False, description="Whether the plan ends in the start configuration.")
+    min_sweeps: int = Field(default=1, ge=0, description="Fewest sweeps of a plan; a shorter one is an error.")
     seed: int = Field(default=0, ge=0, description="Seed of roadmap and shortening.")
 
 
-@stage(version=1)
+@stage(version=2)
 def stitch_sweeps(
     cell: CellModel,
     mesh: PartMesh,
     viewpoints: Viewpoints,
     reachability: Reachability,
     selection: ViewSelection,
+    earlier: Trajectory | None = None,
     *,
     params: StitchParams,
     progress: Progress = no_progress,
 ) -> Trajectory:
-    """Plan the whole motion from the start configuration through all selected sweeps.
+    """Plan the whole motion from the start configuration through the selected sweeps that can be executed.
+
+    What ``earlier`` has left out is carried on into the result, unless it is selected again.
 
     Raises:
         InvalidInputError: If nothing is selected, the start configuration collides or is beyond a joint limit, or
             ``method`` is ``exact`` and there are more sweeps than ``exact_up_to``.
-        InfeasibleError: If a view cannot be executed or connected; it names the view.
+        InfeasibleError: If fewer than ``min_sweeps`` can be executed and connected; it names views and reasons.
+        SolverError: If ``method`` is ``exact`` and the order could not be proven shortest.
     """
     import numpy as np
 
+    from cellwright.cell.motion_filter import FilteredScene
     from cellwright.cell.scene import Scene
-    from cellwright.errors import InvalidInputError
+    from cellwright.errors import InfeasibleError, InvalidInputError, listed
     from cellwright.solvers.roadmap import RoadmapSize
-    from cellwright.solvers.stitching import StitchSettings, stitch
+    from cellwright.solvers.stitched_plan import StitchSettings
+    from cellwright.solvers.stitching import stitch
     from schemas.cell_objects import build_cell
     from schemas.plan_objects import planned_sweeps, trajectory_of
 
@@ -82,7 +90,8 @@ def stitch_sweeps(
         raise InvalidInputError("no view is selected: there is nothing to stitch; look at the coverage's causes first")
     if params.method == "exact" and n_sweeps > params.exact_up_to:
         raise InvalidInputError(
-            f"method exact orders at most {params.exact_up_to} sweeps but {n_sweeps} are selected: use method best"
+            f"the exact order takes at most {params.exact_up_to} sweeps but {n_sweeps} are selected: use `method` "
+            "best, or raise exact_up_to"
         )
     T_world_part = params.T_world_part.matrix()
     built = build_cell(cell, mesh, T_world_part)
@@ -92,13 +101,13 @@ def stitch_sweeps(
         joint = int(np.argmax(beyond))
         raise InvalidInputError(
             f"the start configuration has joint {cell.joint[joint]} at {built.start[joint]:.4g} rad, outside its "
-            f"limits {cell.lower_rad[joint]:.4g} to {cell.upper_rad[joint]:.4g} rad: choose another start configuration"
+            f"limits {cell.lower_rad[joint]:.4g} to {cell.upper_rad[joint]:.4g} rad: choose another start_rad"
         )
     touching = scene.colliding_pair(built.start)
     if touching is not None:
         raise InvalidInputError(
             f"the start configuration brings {touching[0]} and {touching[1]} closer than "
-            f"{params.clearance_m * 1e3:.3g} mm: choose another start configuration, move the part, "
+            f"{params.clearance_m * 1e3:.3g} mm: choose another start_rad, move the part, "
             "or lower clearance_m"
         )
     settings = StitchSettings(
@@ -119,12 +128,20 @@ def stitch_sweeps(
     )
     plan = stitch(
         built,
-        scene,
+        FilteredScene(scene),
         planned_sweeps(viewpoints, reachability, selection, T_world_part),
         settings=settings,
         method=params.method,
         rng=np.random.default_rng(params.seed),
-        sweep_checker=Scene(built, min(params.clearance_m, settings.confirm_step)),
+        sweep_checker=FilteredScene(scene.with_clearance(min(params.clearance_m, settings.confirm_step))),
         progress=progress,
     )
-    return trajectory_of(plan, selection)
+    n_executed = n_sweeps - len(plan.left_out)
+    if n_executed < params.min_sweeps:
+        reasons = listed(f"view {selection.view[sweep.sweep]}: {sweep.reason}" for sweep in plan.left_out)
+        raise InfeasibleError(
+            f"{n_executed} of {n_sweeps} selected sweeps can be executed and connected, fewer than {params.min_sweeps} "
+            f"({reasons}): raise roadmap_nodes or max_alternatives, lower clearance_m, choose another start_rad, or "
+            "give the arm more room around the part"
+        )
+    return trajectory_of(plan, selection, earlier)

@@ -11,6 +11,7 @@ arrays and the engine's caches: use one a thread.
 
 from __future__ import annotations
 
+import copy
 import math
 from functools import cached_property
 from typing import Any
@@ -18,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from cellwright.arrays import BoolArray, FloatArray, Int32Array
-from cellwright.cell.bodies import WORLD, Body, Box, Capsule, Cylinder, Mesh, Sphere
+from cellwright.cell.bodies import BASE, WORLD, Body, Box, Capsule, Cylinder, Mesh, Sphere
 from cellwright.cell.broad_phase import body_poses_into, bounds_of, near_pairs_at
 from cellwright.cell.cell import Cell
 from cellwright.cell.containment import ClosedMesh, closed_mesh, component_points
@@ -67,6 +68,19 @@ class Scene:
         self._Ta, self._Tb = coal.Transform3s(), coal.Transform3s()
         self._coal = coal
 
+    def with_clearance(self, clearance_m: float) -> Scene:
+        """Return a scene of the same cell with another clearance; the bodies are prepared once."""
+        other = copy.copy(self)
+        other.clearance_m = float(clearance_m)
+        other._margin = max(_TOUCHING, other.clearance_m)
+        other._links, other._poses = self._links.copy(), self._poses.copy()
+        other._centres, other._near = self._centres.copy(), self._near.copy()
+        other._queries = {}
+        other._request, other._result = self._coal.CollisionRequest(), self._coal.CollisionResult()
+        other._request.enable_contact = True
+        other._Ta, other._Tb = self._coal.Transform3s(), self._coal.Transform3s()
+        return other
+
     def collides(self, q: FloatArray) -> bool:
         """Whether any checked pair touches, or comes closer than the clearance."""
         return self._first_colliding(q) >= 0
@@ -87,6 +101,11 @@ class Scene:
     def collide_all(self, q: FloatArray) -> BoolArray:
         """Return whether each of many configurations (n, joints) collides, (n,)."""
         return np.array([self._first_colliding(row) >= 0 for row in np.ascontiguousarray(q, float)], bool)
+
+    def first_colliding(self, q: FloatArray) -> int:
+        """Return the first of many configurations (n, joints) that collides, -1 if none does."""
+        rows = np.ascontiguousarray(q, float)
+        return next((number for number, row in enumerate(rows) if self._first_colliding(row) >= 0), -1)
 
     def motion_collides(self, q_a: FloatArray, q_b: FloatArray, step: float) -> bool:
         """Whether the straight joint motion collides, tried every ``step`` rad of the fastest joint.
@@ -192,8 +211,8 @@ class Scene:
 def checked_pairs(cell: Cell) -> Int32Array:
     """Return the pairs of rows of ``cell.bodies`` to check, (pairs, 2).
 
-    All but the ignored ones, pairs on one parent, and pairs that stand in the world. Base against world is
-    checked: a part placed into the robot's base is a collision at every configuration.
+    All but the ignored ones and pairs that never move against each other: on one parent, or both standing still, be
+    it on the robot's base or in the world. What stands in one another is found by `cellwright.cell.standing_overlaps`.
     """
     ignored = {(min(a, b), max(a, b)) for a, b in np.asarray(cell.ignored_pairs).tolist()}
     parents = [body.parent for body in cell.bodies]
@@ -201,7 +220,7 @@ def checked_pairs(cell: Cell) -> Int32Array:
         (a, b)
         for a in range(len(parents))
         for b in range(a + 1, len(parents))
-        if parents[a] != parents[b] and (a, b) not in ignored
+        if parents[a] != parents[b] and max(parents[a], parents[b]) > BASE and (a, b) not in ignored
     ]
     # moving pairs that decide most often come first: arm against world, then the arm against itself
     pairs.sort(key=lambda pair: (WORLD not in (parents[pair[0]], parents[pair[1]]), -max(parents[k] for k in pair)))

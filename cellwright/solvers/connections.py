@@ -8,11 +8,13 @@ of a quarter.
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from cellwright.arrays import FloatArray
+from cellwright.errors import SolverError
 from cellwright.solvers.hermite import states_at
 from cellwright.solvers.motion_steps import MovingCorners, dense_times
 from cellwright.solvers.path_smoothing import round_corners, shorten
@@ -50,7 +52,11 @@ class Connection:
 
 
 class Connections:
-    """All connections asked for so far, in both directions."""
+    """All connections asked for so far, in both directions.
+
+    Where the roadmap has no way, one through ``hub`` (joints,) is tried if that is given: what can be reached from
+    there and back is then connected with each other.
+    """
 
     def __init__(
         self,
@@ -60,9 +66,11 @@ class Connections:
         limits: Limits,
         steps: ConnectionSteps,
         rng: np.random.Generator,
+        *,
+        hub: FloatArray | None = None,
     ) -> None:
         self._checker, self._roadmap, self._corners = checker, roadmap, corners
-        self._limits, self._steps, self._rng = limits, steps, rng
+        self._limits, self._steps, self._rng, self._hub = limits, steps, rng, hub
         self._found: dict[tuple[bytes, bytes], Connection | None] = {}
         self._confirmed: set[tuple[bytes, bytes]] = set()
 
@@ -94,6 +102,13 @@ class Connections:
         self._confirmed.add(key)
         return refinement == 0
 
+    def forget_failures(self) -> None:
+        """Seek again, when asked again, the connections that were not found: the roadmap knows more now."""
+        missing = [key for key, found in self._found.items() if found is None]
+        for key in missing:
+            del self._found[key]
+            self._confirmed.discard(key)
+
     def _is_free(self, motion: TimedMotion) -> bool:
         steps = self._steps
         return first_collision(self._checker, self._corners, motion, steps.confirm, steps.confirm_angle) is None
@@ -107,6 +122,8 @@ class Connections:
     def _find(self, q_a: FloatArray, q_b: FloatArray, step: float) -> Connection | None:
         path = self._roadmap.connect(q_a, q_b, step)
         if path is None:
+            path = self._through_hub(q_a, q_b, step)
+        if path is None:
             return None
         sample = self._steps.sample
         if len(path) > 2:
@@ -114,17 +131,27 @@ class Connections:
             path = shorten(path, speed, self._checker, self._rng, step=step, n_attempts=self._steps.n_shortenings)
         if len(path) == 2:
             return Connection(time_straight(q_a, q_b, self._limits, sample), "direct")
-        pieces = round_corners(path, self._limits.velocity, self._checker, step=step)
-        motions = [
-            time_straight(piece(piece.knots[:1])[0], piece(piece.knots[-1:])[0], self._limits, sample)
-            if len(piece.control) == 1
-            else time_path(piece, piece.grid(), self._limits, sample)
-            for piece in pieces
-        ]
+        try:
+            motions = [
+                time_straight(piece(piece.knots[:1])[0], piece(piece.knots[-1:])[0], self._limits, sample)
+                if len(piece.control) == 1
+                else time_path(piece, piece.grid(), self._limits, sample)
+                for piece in round_corners(path, self._limits.velocity, self._checker, step=step)
+            ]
+        except SolverError:  # stopping at every corner always has a timing
+            motions = [time_straight(a, b, self._limits, sample) for a, b in itertools.pairwise(path)]
         motion = motions[0]
         for following in motions[1:]:
             motion = motion.then(following)
         return Connection(motion, "roadmap")
+
+    def _through_hub(self, q_a: FloatArray, q_b: FloatArray, step: float) -> FloatArray | None:
+        """Return a path that stops over at the hub, ``None`` if there is no hub or one end is not reached from it."""
+        if self._hub is None or any(np.array_equal(q, self._hub) for q in (q_a, q_b)):
+            return None
+        there = self._roadmap.connect(q_a, self._hub, step)
+        onward = None if there is None else self._roadmap.connect(self._hub, q_b, step)
+        return None if there is None or onward is None else np.concatenate([there, onward[1:]])
 
 
 def first_collision(
@@ -139,10 +166,8 @@ def first_collision(
     joints = replace(motion, position=motion.position[:, :n_joints], velocity=motion.velocity[:, :n_joints])
     time = dense_times(joints, corners, step=step, step_angle=step_angle)
     position, _ = states_at(joints.time, joints.position, joints.velocity, time)
-    for moment, q in zip(time, position, strict=True):
-        if checker.collides(q):
-            return float(moment), q
-    return None
+    row = checker.first_colliding(position)
+    return None if row < 0 else (float(time[row]), position[row])
 
 
 def _ordered(q_a: FloatArray, q_b: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -147,7 +147,7 @@ def _free_cut(
         control = _blend(corner, directions, cut) * scale
         turned = float(np.abs(np.diff(control, axis=0)).max(axis=1).sum())
         shares = np.linspace(0.0, 1.0, max(5, int(np.ceil(turned / step)) + 1))
-        if not any(checker.collides(q) for q in SmoothPath(np.array([0.0, 1.0]), control[None])(shares)):
+        if checker.first_colliding(SmoothPath(np.array([0.0, 1.0]), control[None])(shares)) < 0:
             return cut
     return 0.0
 

@@ -1,25 +1,24 @@
 """Give a joint path its fastest timing, rest to rest, under joint velocity and acceleration limits.
 
-A straight joint motion has a closed form, the trapezoid of its path parameter. A curved path is timed by
-TOPP-RA (Pham and Pham 2018) on a grid; limits on the travel of a tool are joint limits of one more coordinate.
-The result is sampled so that the cubic Hermite curve through its states keeps all limits: the instants at
-which the path acceleration switches become states of their own where that is needed, and what then still
+A straight joint motion has a closed form, the trapezoid of its path parameter. A curved path is timed by TOPP-RA
+(Pham and Pham 2018, `cellwright.solvers.parameter_rates`) on a grid; limits on the travel of a tool are joint limits
+of one more coordinate. The result is sampled so that the cubic Hermite curve through its states keeps all limits: the
+instants at which the path acceleration switches become states of their own where that is needed, and what then still
 exceeds a limit by more than `LIMIT_TOLERANCE` is removed by slowing the whole motion by that share.
 """
 
 from __future__ import annotations
 
 import itertools
-import logging
-import warnings
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 
 from cellwright.arrays import FloatArray
 from cellwright.errors import InfeasibleError, SolverError
 from cellwright.solvers.hermite import shares_of_limits
+from cellwright.solvers.parameter_rates import fastest_rates
 
 LIMIT_TOLERANCE = 0.005
 """Share by which the curve between states may exceed a limit; no controller tracks better than this."""
@@ -172,7 +171,7 @@ def time_path(path: Path, knots: FloatArray, limits: Limits, sample: float) -> T
     if grid_time[-1] > MOST_STATES * sample:
         raise InfeasibleError(
             f"a motion takes {grid_time[-1]:.3g} s, but at most {MOST_STATES * sample:.3g} s can be planned: "
-            "raise the limits of speed and acceleration"
+            "raise max_velocity_rad_s, max_acceleration_rad_s2 or scan_speed_m_s"
         )
     motion = _sampled(path, grid, grid_time, rate, np.arange(0.0, grid_time[-1], sample))
     for _ in range(2):
@@ -209,40 +208,15 @@ def _grid(knots: FloatArray) -> FloatArray:
 
 def _fastest_rates(path: Path, grid: FloatArray, limits: Limits) -> FloatArray:
     """Return the largest parameter rates on the grid, zero at both ends."""
-    with warnings.catch_warnings():
-        # toppra's docstrings hold invalid escapes, which Python reports when it first compiles the module
-        warnings.simplefilter("ignore")
-        from toppra import algorithm, constraint
-
-    logging.getLogger("toppra").setLevel(logging.ERROR)
-    bounds = [
-        constraint.JointVelocityConstraint(np.stack([-limits.velocity, limits.velocity], axis=1)),
-        constraint.JointAccelerationConstraint(
-            np.stack([-limits.acceleration, limits.acceleration], axis=1),
-            discretization_scheme=constraint.DiscretizationType.Interpolation,
-        ),
-    ]
-    solver = algorithm.TOPPRA(bounds, _ToppraPath(path, grid), gridpoints=grid, solver_wrapper="seidel")
-    _, rate, _ = solver.compute_parameterization(0.0, 0.0)
-    if rate is None or not np.all(np.isfinite(rate)) or np.any(rate[1:-1] <= 0.0):
+    first, second = path(grid, 1), path(grid, 2)
+    finite = bool(np.isfinite(first).all() and np.isfinite(second).all())
+    rate = fastest_rates(first, second, grid, limits.velocity, limits.acceleration) if finite else np.zeros(len(grid))
+    if not np.all(np.isfinite(rate)) or np.any(rate[1:-1] <= 0.0):
         raise SolverError(
             f"no timing from rest to rest was found on a path of {len(grid)} grid points and length "
             f"{grid[-1] - grid[0]:.4g}: check its limits and its smoothness"
         )
-    return np.asarray(rate, np.float64)
-
-
-class _ToppraPath:
-    """A path as toppra calls it."""
-
-    def __init__(self, path: Path, grid: FloatArray) -> None:
-        self._path = path
-        self.path_interval = np.array([grid[0], grid[-1]])
-        self.duration = float(grid[-1] - grid[0])
-        self.dof = int(path(grid[:1]).shape[1])
-
-    def __call__(self, s: Any, order: int = 0) -> FloatArray:
-        return self._path(np.atleast_1d(np.asarray(s, float)), order)
+    return rate
 
 
 def _sampled(

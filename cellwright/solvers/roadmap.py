@@ -26,6 +26,10 @@ class CollisionChecker(Protocol):
         """Whether the robot collides at ``q`` (joints,) in rad."""
         ...
 
+    def first_colliding(self, states: FloatArray, /) -> int:
+        """Return the first of many states (n, joints) in rad that collides, -1 if none does."""
+        ...
+
     def motion_collides(self, q_a: FloatArray, q_b: FloatArray, step: float, /) -> bool:
         """Whether any state on the straight joint motion does, checked every ``step`` rad of the fastest joint."""
         ...
@@ -86,6 +90,21 @@ class Roadmap:
         free = [q for q in nodes if not self._checker.collides(q)]
         if free:
             self._join(np.stack(free))
+
+    def seed_path(self, path: FloatArray, step: float) -> None:
+        """Add a path (points, joints) that was found free in steps of ``step`` rad; its ends become terminals."""
+        inner = np.arange(len(path) - 2) + len(self._nodes)
+        if len(inner):
+            self._join(path[1:-1])
+        nodes = [self._terminal(path[0]), *inner.tolist(), self._terminal(path[-1])]
+        pairs = np.sort(np.stack([nodes[:-1], nodes[1:]], axis=1), axis=1).astype(np.int32)
+        length = travel_time(self._nodes[pairs[:, 0]], self._nodes[pairs[:, 1]], self._speed)
+        self._add_edges(pairs, length, np.full(len(pairs), step))
+
+    @property
+    def box(self) -> tuple[FloatArray, FloatArray]:
+        """The joint positions between which its nodes lie."""
+        return self._lower, self._upper
 
     def connect(self, q_a: FloatArray, q_b: FloatArray, step: float) -> FloatArray | None:
         """Return a free path (points, joints) from ``q_a`` to ``q_b``, ``None`` if none was found.
@@ -167,10 +186,13 @@ class Roadmap:
         pairs = np.stack([np.minimum(own, near.ravel()), np.maximum(own, near.ravel())], axis=1)
         pairs = np.unique(pairs[pairs[:, 0] != pairs[:, 1]], axis=0).astype(np.int32)
         length = travel_time(self._nodes[pairs[:, 0]], self._nodes[pairs[:, 1]], self._speed)
+        self._add_edges(pairs, length, np.full(len(pairs), np.inf))
+
+    def _add_edges(self, pairs: Int32Array, length: FloatArray, checked_at: FloatArray) -> None:
         self._ends = np.concatenate([self._ends, pairs])
         self._length = np.concatenate([self._length, length])
         self._blocked = np.concatenate([self._blocked, np.zeros(len(pairs), bool)])
-        self._checked_at = np.concatenate([self._checked_at, np.full(len(pairs), np.inf)])
+        self._checked_at = np.concatenate([self._checked_at, checked_at])
         self._rows = None
 
     def _adjacency(self) -> tuple[Int32Array, Int32Array]:

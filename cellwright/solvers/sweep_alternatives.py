@@ -1,4 +1,4 @@
-"""All ways in which the arm can execute a straight sweep: inverse kinematics branches and windings.
+"""All ways in which the arm can execute a straight sweep: inverse kinematics branches, windings, directions.
 
 A piece of a sweep is followed by Newton's method in small steps of travel, so that the joint path stays on its
 branch; between the steps it is a cubic spline. A winding adds whole turns to joints whose limits have room for
@@ -17,7 +17,9 @@ from cellwright.cell.chain_kinematics import track_pose
 from cellwright.cell.inverse_kinematics import windings as configurations
 from cellwright.cell.robot import Chain
 from cellwright.cell.transforms import inverse
+from cellwright.errors import SolverError
 from cellwright.solvers.path_timing import Limits, TimedMotion, time_path
+from cellwright.solvers.planned_sweep import PlannedSweep
 from cellwright.solvers.roadmap import travel_time
 
 TRACKING_TOLERANCE = 1e-8
@@ -26,6 +28,8 @@ TRACKING_STEPS = 20
 LARGEST_TURN = 0.2
 """Rad of any joint between two traced poses; more means that the path has left its branch near a singularity."""
 TURN = 2.0 * np.pi
+FINER_TRACE = 0.25
+"""Share of the step in which a sweep is traced again when no branch could be followed: near a singularity it helps."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +58,86 @@ class SweepPath:
 
         path = CubicSpline(self.travel, np.column_stack([self.position, self.travel]))
         return time_path(path, self.travel, limits.with_travel(speed, acceleration), sample)
+
+
+@dataclass(frozen=True)
+class SweepSettings:
+    """How sweeps are traced and timed: limits of joints, speed and acceleration of the travel, SI units.
+
+    ``sample`` is the time between states, ``trace_step`` the travel between traced poses.
+    """
+
+    limits: Limits
+    speed: float
+    acceleration: float
+    sample: float
+    trace_step: float
+
+
+@dataclass(frozen=True, eq=False)
+class SweepOption:
+    """One way to execute a sweep.
+
+    Attributes:
+        sweep: Number of the sweep.
+        alternative: Rank of branch and winding among those of the sweep, nearest to the start configuration first.
+        path: Number of the joint path, which windings share.
+        motion: The timed joint path, with the travel as last coordinate.
+        branch: Inverse kinematics branch.
+        direction: 1 forwards, -1 backwards.
+    """
+
+    sweep: int
+    alternative: int
+    path: int
+    motion: TimedMotion
+    branch: int
+    direction: int
+
+    @property
+    def entry(self) -> FloatArray:
+        """Where it begins, (joints,) in rad."""
+        return self.motion.position[0, :-1]
+
+    @property
+    def exit(self) -> FloatArray:
+        """Where it ends, (joints,) in rad."""
+        return self.motion.position[-1, :-1]
+
+
+def sweep_options(
+    cell: Cell, sweep: PlannedSweep, number: int, settings: SweepSettings, count: int
+) -> list[SweepOption]:
+    """Return up to ``count`` alternatives of a sweep, each forwards and then backwards; none if none can be timed."""
+    for step in (settings.trace_step, settings.trace_step * FINER_TRACE):
+        traced = (
+            trace_sweep(cell, sweep.T_world_scanner, piece.q_start, piece.branch, piece.start, sweep.interval, step)
+            for piece in sweep.pieces
+        )
+        paths = [path for path in traced if path is not None]
+        if found := _timed_options(cell, paths, number, settings, count):
+            return found
+    return []
+
+
+def _timed_options(
+    cell: Cell, paths: list[SweepPath], number: int, settings: SweepSettings, count: int
+) -> list[SweepOption]:
+    chosen = nearest_windings(paths, cell.robot.chain, np.array(cell.start, float), count)
+    motions: dict[int, TimedMotion] = {}
+    for row in sorted({row for row, _ in chosen}):
+        try:
+            motions[row] = paths[row].timed(settings.limits, settings.speed, settings.acceleration, settings.sample)
+        except SolverError:
+            continue  # another branch may have a timing
+    options = []
+    for alternative, (row, turns) in enumerate(chosen):
+        if row in motions:
+            base, branch = motions[row], paths[row].branch
+            wound = TimedMotion(base.time, base.position + np.append(turns, 0.0), base.velocity, base.acceleration)
+            options.append(SweepOption(number, alternative, row, wound, branch, 1))
+            options.append(SweepOption(number, alternative, row, wound.reversed(), branch, -1))
+    return options
 
 
 def flange_targets(cell: Cell, T_world_scanner: FloatArray, travel: FloatArray) -> FloatArray:

@@ -16,7 +16,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from cellwright.arrays import BoolArray, FloatArray, Int32Array
-from cellwright.errors import InfeasibleError, listed
 from cellwright.solvers.order_bound import one_tree_bound
 from cellwright.solvers.order_kernels import best_options, cheapest_through, held_karp, improve_sequence
 
@@ -24,6 +23,9 @@ MOST_MEMORY = 1 << 30
 """Bytes that dynamic programming may take: 17 sweeps with 8 alternatives need half of it."""
 SAME = 1e-9
 """Seconds; differences below this are none."""
+
+MISSING = 1e6
+"""Seconds that local search takes for a connection that does not exist: no motion lasts as long."""
 
 Evaluate = Callable[[int, int], float]
 """Cost of the connection from one option's exit to another's entry; infinite if there is none."""
@@ -126,11 +128,10 @@ class ConnectionCosts:
         return own + sum(float(self.value[link]) for link in links)
 
 
-def order_greedily(options: SweepOptions, costs: ConnectionCosts) -> SweepOrder:
+def order_greedily(options: SweepOptions, costs: ConnectionCosts) -> SweepOrder | None:
     """Order sweeps by the shortest connection from the current end (Kaiser 2021, section 4.4); ties: lowest option.
 
-    Raises:
-        InfeasibleError: If sweeps are left that no connection reaches.
+    ``None`` if it ends where no connection leads on: then another order may still exist.
     """
     sweep_of = np.repeat(np.arange(len(options.name)), np.diff(options.first))
     open_options = np.ones(len(options.duration), bool)
@@ -146,42 +147,43 @@ def order_greedily(options: SweepOptions, costs: ConnectionCosts) -> SweepOrder:
             if cost < least or (cost == least < np.inf and option < best):
                 best, least = int(option), cost
         if best < 0:
-            left = [options.name[i] for i in np.unique(sweep_of[candidates])]
-            place = "the start configuration" if not chosen else f"the end of {options.name[sweep_of[current]]}"
-            raise InfeasibleError(
-                f"no collision-free connection was found from {place} to {listed(left)}: raise roadmap_nodes, "
-                "lower clearance_m, or give the arm more room there"
-            )
+            return None
         chosen.append(best)
         open_options[options.first[sweep_of[best]] : options.first[sweep_of[best] + 1]] = False
         current = best
-    return SweepOrder(np.array(chosen, np.int32), costs.total(chosen), float("-inf"), proven=False)
+    order = np.array(chosen, np.int32)
+    total = costs.total(chosen)
+    bound = one_tree_bound(costs.value, options.duration, options.first, total) if np.isfinite(total) else -np.inf
+    return SweepOrder(order, total, bound, proven=bound >= total - SAME) if np.isfinite(total) else None
 
 
 def order_best(
     options: SweepOptions,
     costs: ConnectionCosts,
-    known: SweepOrder,
+    known: SweepOrder | None,
     *,
     n_evaluations: int,
     exact_up_to: int = 15,
-) -> SweepOrder:
+) -> SweepOrder | None:
     """Return the best order, exact for up to ``exact_up_to`` sweeps, never longer than the ``known`` one.
 
     Dynamic programming takes time and memory 2^sweeps: beyond that or `MOST_MEMORY`, local search with a lower
-    bound. After
-    ``n_evaluations`` connections the search stops with what it has and the bound it has proven.
+    bound. After ``n_evaluations`` connections the search stops with what it has and the bound it has proven.
+    ``None`` if no order was found; up to ``exact_up_to`` sweeps and within the evaluations there is none then.
     """
     n_bytes = 2 * 8 * len(options.duration) << len(options.name)
-    if len(options.name) <= exact_up_to and n_bytes <= MOST_MEMORY:
-        return _exact(options, costs, known, n_evaluations)
-    return _searched(options, costs, known, n_evaluations)
+    exactly = len(options.name) <= exact_up_to and n_bytes <= MOST_MEMORY
+    start = (np.empty(0, np.int32), np.inf) if known is None else (known.options, known.duration)
+    order = (_exact if exactly else _searched)(options, costs, start, n_evaluations)
+    return order if np.isfinite(order.duration) else None
 
 
-def _exact(options: SweepOptions, costs: ConnectionCosts, known: SweepOrder, n_evaluations: int) -> SweepOrder:
+def _exact(
+    options: SweepOptions, costs: ConnectionCosts, best: tuple[Int32Array, float], n_evaluations: int
+) -> SweepOrder:
     """Solve on bounds, evaluate, solve again; drop options through which no order can be shorter any more."""
     budget = costs.n_evaluated + n_evaluations
-    best = _local_search(options, costs, known.options, (known.options, known.duration), budget)
+    best = _local_search(options, costs, _sequence(options, best[0]), best, budget)
     kept = np.arange(len(options.duration))
     while True:
         first = np.searchsorted(kept, options.first).astype(np.int32)
@@ -198,25 +200,30 @@ def _exact(options: SweepOptions, costs: ConnectionCosts, known: SweepOrder, n_e
             if totals[row] < best[1] - SAME:
                 best = _settled(options, costs, kept[orders[row]], best)
         # cheap, and finds most of what the next subset search would find on the new costs
-        best = _local_search(options, costs, kept[orders[int(np.argmin(totals))]], best, budget)
+        best = _local_search(options, costs, _sequence(options, kept[orders[int(np.argmin(totals))]]), best, budget)
         kept = kept[through < best[1] - SAME]
 
 
-def _searched(options: SweepOptions, costs: ConnectionCosts, known: SweepOrder, n_evaluations: int) -> SweepOrder:
+def _searched(
+    options: SweepOptions, costs: ConnectionCosts, best: tuple[Int32Array, float], n_evaluations: int
+) -> SweepOrder:
     budget = costs.n_evaluated + n_evaluations
-    best = _local_search(options, costs, known.options, (known.options, known.duration), budget)
+    best = _local_search(options, costs, _sequence(options, best[0]), best, budget)
+    if not np.isfinite(best[1]):
+        return SweepOrder(*best, -np.inf, proven=False)
     bound = one_tree_bound(costs.value, options.duration, options.first, best[1])
     return SweepOrder(*best, bound, proven=bound >= best[1] - SAME)
 
 
 def _local_search(
-    options: SweepOptions, costs: ConnectionCosts, chosen: Int32Array, best: tuple[Int32Array, float], budget: int
+    options: SweepOptions, costs: ConnectionCosts, sequence: Int32Array, best: tuple[Int32Array, float], budget: int
 ) -> tuple[Int32Array, float]:
-    """Improve the sequence of ``chosen`` on what is known of the costs, evaluate it, and so on; return the best."""
-    sequence = _sweeps_of(options, chosen)
+    """Improve a sequence of sweeps on what is known of the costs, evaluate it, and so on; return the best."""
     while costs.n_evaluated <= budget:
         best = _settled_sequence(options, costs, sequence, best)
-        total, improved = improve_sequence(sequence, costs.value, options.duration, options.first)
+        # a connection that does not exist is dear but finite, so that the search leads out of dead ends
+        value = np.minimum(costs.value, MISSING)
+        total, improved = improve_sequence(sequence, value, options.duration, options.first)
         if total >= best[1] - SAME or np.array_equal(improved, sequence):
             break
         sequence = improved
@@ -227,7 +234,7 @@ def _settled(
     options: SweepOptions, costs: ConnectionCosts, trial: Int32Array, best: tuple[Int32Array, float]
 ) -> tuple[Int32Array, float]:
     """Evaluate the sequence of ``trial`` with whichever options are best; return the better order and its duration."""
-    return _settled_sequence(options, costs, _sweeps_of(options, trial), best)
+    return _settled_sequence(options, costs, _sequence(options, trial), best)
 
 
 def _settled_sequence(
@@ -242,5 +249,8 @@ def _settled_sequence(
             return picked, exact
 
 
-def _sweeps_of(options: SweepOptions, chosen: Int32Array) -> Int32Array:
+def _sequence(options: SweepOptions, chosen: Int32Array) -> Int32Array:
+    """Return the sweeps of chosen options in order, of none chosen all sweeps as they come."""
+    if len(chosen) == 0:
+        return np.arange(len(options.name), dtype=np.int32)
     return (np.searchsorted(options.first, chosen, side="right") - 1).astype(np.int32)

@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import hashlib
 from dataclasses import replace
 from functools import cache
 
@@ -12,6 +11,7 @@ from schemas.artefact import digest
 from schemas.poses import Pose
 from tasks.stitch_sweeps import StitchParams, stitch_sweeps
 from tests.cellwright.solvers import scanning_cell
+from tests.tasks.goldens import check_golden
 from tests.tasks.scanning_artefacts import PART_POSE, cell_model, part_mesh, reachability, viewpoints
 
 PARAMS = StitchParams(T_world_part=PART_POSE, scan_speed_m_s=0.2, max_alternatives=4, roadmap_nodes=300)
@@ -89,8 +89,7 @@ def test_the_result_is_the_one_of_this_version():
     plan = trajectory()
     decisions = [*zip(plan.view.tolist(), plan.branch.tolist(), plan.direction.tolist(), plan.via, strict=True)]
     # decisions and hundredths of seconds: the last digits of joint angles differ from machine to machine
-    result = repr((decisions, np.round(plan.end_s, 2).tolist()))
-    assert hashlib.sha256(result.encode()).hexdigest()[:12] == "dc5e036ea268", "raise the version of stitch_sweeps"
+    check_golden(stitch_sweeps, repr((decisions, np.round(plan.end_s, 2).tolist())))
 
 
 def test_progress_rises_to_one():
@@ -132,7 +131,29 @@ def test_artefacts_that_do_not_belong_together_are_invalid():
         run(selection=selected([9]))
 
 
-def test_a_part_somewhere_else_is_an_error_that_names_the_view():
+def test_a_part_somewhere_else_is_an_error_that_names_views_reasons_and_mend():
     moved = PARAMS.model_copy(update={"T_world_part": Pose(position_m=(0.7, 0.9, 0.0))})
-    with pytest.raises(InfeasibleError, match="view 0: none of its 3 pieces"):
+    with pytest.raises(InfeasibleError, match=r"0 of 5 .* \(view 0: none of its 3 pieces .*\): raise roadmap_nodes"):
         run(moved)
+    empty = run(moved.model_copy(update={"min_sweeps": 0}))
+    assert empty.kind == () and len(empty.time_s) == 0
+    assert empty.left_out_view.tolist() == [0, 1, 2, 3, 4]
+    assert empty.left_out_reason[0].startswith("none of its 3 pieces could be traced")
+
+
+def test_what_an_earlier_trajectory_left_out_is_carried_on_unless_it_is_selected_again():
+    earlier = replace(trajectory(), left_out_view=np.array([1, 7], np.int32), left_out_reason=("one", "seven"))
+    found = stitch_sweeps(
+        cell_model(), part_mesh(), viewpoints(), reachability(), selected([1, 3]), earlier, params=PARAMS
+    )
+    assert found.left_out_view.tolist() == [7]
+    assert found.left_out_reason == ("seven",)
+    assert sorted(found.view[found.view >= 0]) == [1, 3]
+
+
+def test_the_proof_of_the_order_is_stored():
+    assert trajectory().order_proven
+    assert trajectory().order_lower_bound_s == pytest.approx(trajectory().time_s[-1], abs=1e-6)
+    assert len(trajectory().left_out_view) == 0
+    greedy = run(PARAMS.model_copy(update={"method": "greedy"}))
+    assert greedy.order_lower_bound_s <= trajectory().time_s[-1] + 1e-6

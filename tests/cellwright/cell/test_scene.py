@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cellwright.arrays import FloatArray
-from cellwright.cell.bodies import Box, Capsule, Cylinder, Mesh, Shape, Sphere
+from cellwright.cell.bodies import BASE, WORLD, Body, Box, Capsule, Cylinder, Mesh, Shape, Sphere
 from cellwright.cell.built_in_robots import built_in, built_in_bodies, built_in_robot
 from cellwright.cell.robot import Robot
 from cellwright.cell.scene import Scene, halving_order
@@ -168,11 +168,32 @@ def test_ignored_pairs_are_not_checked() -> None:
         assert scene.distance(ZERO) == math.inf
 
 
-def test_a_part_placed_into_the_base_collides_everywhere() -> None:
+def test_bodies_that_stand_still_are_checked_against_what_moves_alone() -> None:
+    from dataclasses import replace
+
     cell = scanning_cell().with_part(bumpy_part(), at(0.05, 0, 0.05))
-    part = len(cell.bodies) - 1
-    for scene in (Scene(cell), VerificationScene(cell)):
-        assert all((0, part) in scene.colliding_pairs(q) for q in random_configurations(20))
+    floor = Body("floor", Box((2.0, 2.0, 0.1)), WORLD, at(0, 0, -0.05))
+    cell = replace(cell, bodies=(*cell.bodies, floor), ignored_pairs=np.empty((0, 2), np.int32))
+    stands = [body.parent <= BASE for body in cell.bodies]
+    for scene in (Scene(cell, 0.05), VerificationScene(cell)):
+        assert not any(stands[a] and stands[b] for a, b in scene.pairs.tolist())
+        for q in random_configurations(20):
+            assert not any(stands[a] and stands[b] for a, b in scene.colliding_pairs(q))
+
+
+@pytest.mark.parametrize("support", [Box((3.0, 3.0, 0.1)), Cylinder(0.1, 0.1)], ids=["floor", "pedestal"])
+def test_a_robot_stands_on_the_floor_or_on_a_pedestal(support: Shape) -> None:
+    from dataclasses import replace
+
+    home = np.array(built_in("ur10e").home)
+    bodies = (*built_in_bodies("ur10e"), Body("support", support, WORLD, at(0, 0, -0.05)))
+    cell = cell_of(built_in_robot("ur10e"), bodies)
+    touching = [pair for pair in cell.ignored_pairs.tolist() if pair != [0, len(bodies) - 1]]
+    cell = replace(cell, ignored_pairs=np.array(touching, np.int32))
+    for clearance in (0.0, 0.005, 0.015):
+        assert Scene(cell, clearance).colliding_pair(home) is None
+    assert VerificationScene(cell).collision(home) is None
+    assert min(Scene(cell).distance(home), VerificationScene(cell).distance(home)) > 0.015
 
 
 def test_a_motion_is_tried_at_every_step() -> None:

@@ -20,6 +20,9 @@ class BoxWorld:
         self.n_states += 1
         return any(np.all(q >= low) and np.all(q <= high) for low, high in self.boxes)
 
+    def first_colliding(self, states):
+        return next((row for row, q in enumerate(states) if self.collides(q)), -1)
+
     def motion_collides(self, q_a, q_b, step):
         n = int(np.ceil(np.abs(q_b - q_a).max() / step)) + 1
         return any(self.collides(q) for q in np.linspace(q_a, q_b, max(n, 2)))
@@ -39,6 +42,9 @@ class PlanarArm:
             for x, y, radius in self.discs
             for a, b in ((np.zeros(2), elbow), (elbow, tip))
         )
+
+    def first_colliding(self, states):
+        return next((row for row, q in enumerate(states) if self.collides(q)), -1)
 
     def motion_collides(self, q_a, q_b, step):
         n = int(np.ceil(np.abs(q_b - q_a).max() / step)) + 1

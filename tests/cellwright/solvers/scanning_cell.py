@@ -16,7 +16,8 @@ from cellwright.cell.scene import Scene
 from cellwright.cell.transforms import pose
 from cellwright.solvers.planned_sweep import ExecutablePiece, PlannedSweep
 from cellwright.solvers.roadmap import RoadmapSize
-from cellwright.solvers.stitching import StitchedPlan, StitchSettings, stitch
+from cellwright.solvers.stitched_plan import StitchedPlan, StitchSettings
+from cellwright.solvers.stitching import stitch
 from cellwright.solvers.sweep_alternatives import flange_targets, trace_sweep
 from schemas.motion import Trajectory
 from schemas.plan_objects import trajectory_of

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cellwright.cell.scene import Scene
-from cellwright.errors import InfeasibleError
+from cellwright.errors import SolverError
 from cellwright.solvers.hermite import shares_of_limits, states_at
 from cellwright.solvers.roadmap import RoadmapSize
 from cellwright.solvers.stitching import stitch
@@ -34,6 +34,9 @@ class Barred:
 
     def collides(self, q):
         return bool(self.extra(q)) or self.scene.collides(q)
+
+    def first_colliding(self, states):
+        return next((row for row, q in enumerate(states) if self.collides(q)), -1)
 
     def motion_collides(self, q_a, q_b, step):
         n = max(2, int(np.abs(q_b - q_a).max() / step) + 1)
@@ -94,7 +97,7 @@ def test_a_seed_gives_one_plan():
     assert [s.motion.time.tobytes() for s in a.segments] == [s.motion.time.tobytes() for s in b.segments]
 
 
-def test_a_sweep_that_collides_on_every_branch_is_named_with_the_bodies():
+def test_a_sweep_that_collides_on_every_branch_is_left_out_with_the_bodies():
     robot = scanning_cell.cell().robot
     middle = scanning_cell.sweeps()[2].T_world_scanner[:3, 3]
 
@@ -102,13 +105,18 @@ def test_a_sweep_that_collides_on_every_branch_is_named_with_the_bodies():
         scanner = robot.flange_pose(q) @ scanning_cell.cell_without_part().T_flange_scanner
         return np.linalg.norm(scanner[:3, 3] - middle) < 0.003
 
-    with pytest.raises(
-        InfeasibleError, match=r"view 2 comes closer than the clearance on every branch .*scanner and ghost"
-    ):
-        run(Barred(over_the_middle))
+    plan = run(Barred(over_the_middle))
+    assert executed(plan) == {0, 1, 3, 4}
+    assert [left.sweep for left in plan.left_out] == [2]
+    assert "closer than the clearance" in plan.left_out[0].reason
+    assert "scanner and ghost after" in plan.left_out[0].reason
 
 
-def test_a_sweep_whose_ends_cannot_be_reached_is_named():
+def executed(plan):
+    return {segment.sweep for segment in plan.segments if segment.sweep >= 0}
+
+
+def test_a_sweep_whose_ends_cannot_be_reached_is_left_out_with_the_reason():
     robot = scanning_cell.cell().robot
     centre = scanning_cell.sweeps()[3].T_world_scanner[:3, 3]
 
@@ -116,6 +124,37 @@ def test_a_sweep_whose_ends_cannot_be_reached_is_named():
         scanner = robot.flange_pose(q) @ scanning_cell.cell_without_part().T_flange_scanner
         return 0.08 < np.linalg.norm(scanner[:3, 3] - centre) < 0.13
 
-    settings = replace(SETTINGS, roadmap=RoadmapSize(60, 30, 120), max_alternatives=2)
-    with pytest.raises(InfeasibleError, match=r"no collision-free connection was found from .* view 3"):
-        run(Barred(in_a_shell_around_the_sweep), settings=settings)
+    settings = replace(SETTINGS, roadmap=RoadmapSize(30, 15, 60), max_alternatives=1)
+    plan = run(Barred(in_a_shell_around_the_sweep), settings=settings)
+    assert executed(plan) == {0, 1, 2, 4}
+    (left,) = plan.left_out
+    assert left.sweep == 3
+    assert "no collision-free connection was found from the start configuration to" in left.reason
+    assert [segment.sweep >= 0 for segment in plan.segments] == [False, True] * 4
+
+
+def test_what_the_roadmap_does_not_connect_random_trees_do():
+    """Without a single random node the roadmap has straight ways only; every sweep is executed all the same."""
+    plan = run(settings=replace(SETTINGS, roadmap=RoadmapSize(0, 0, 0), max_alternatives=2))
+    assert executed(plan) == {0, 1, 2, 3, 4}
+    assert not plan.left_out
+
+
+def test_a_plan_without_any_sweep_has_no_segment_and_says_why():
+    plan = run(Barred(lambda q: np.abs(q - scanning_cell.START).max() > 0.3))
+    assert plan.segments == ()
+    assert [left.sweep for left in plan.left_out] == [0, 1, 2, 3, 4]
+    assert all(left.reason for left in plan.left_out)
+
+
+def test_an_exact_order_that_is_not_proven_is_an_error_with_gap_and_mend():
+    with pytest.raises(SolverError, match=r"gap \d+\.\d%, .* raise max_connections"):
+        run(method="exact", settings=replace(SETTINGS, exact_up_to=0))
+
+
+def test_the_plan_says_whether_its_order_is_proven():
+    assert scanning_cell.plan().proven
+    assert scanning_cell.plan().lower_bound == pytest.approx(scanning_cell.plan().durations["exact"], abs=1e-6)
+    searched = run(settings=replace(SETTINGS, exact_up_to=0))
+    assert not searched.proven
+    assert 0.0 < searched.lower_bound <= scanning_cell.plan().durations["exact"]

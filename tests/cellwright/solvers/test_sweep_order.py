@@ -1,11 +1,13 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
-from cellwright.errors import InfeasibleError
 from cellwright.solvers.order_bound import one_tree_bound
 from cellwright.solvers.order_kernels import best_options, cheapest_through, held_karp
 from cellwright.solvers.sweep_order import ConnectionCosts, SweepOptions, order_best, order_greedily
@@ -139,12 +141,54 @@ def test_the_one_tree_bound_is_below_the_optimum_and_near_it(seed, returns):
     assert 0.85 * optimum <= bound <= optimum + 1e-9
 
 
-def test_a_sweep_without_any_connection_is_named():
+def dead_end():
+    """Sweep 2 is met from sweep 0 alone, which is nearest to the start: who goes there first gets stuck."""
+    options, true = problem(0, 3, 1)
+    ways, start, first = np.full_like(true, np.inf), options.start, options.first
+    for a, b, cost in (
+        (start, first[0], 0.1),
+        (start, first[1], 0.2),
+        (first[0], first[1], 1.0),
+        (first[0], first[2], 1.0),
+    ):
+        ways[a, b] = ways[b, a] = cost
+    least = np.where(np.isfinite(ways), ways, 0.05)
+    return replace(options, least=least, reverse=np.arange(6, dtype=np.int32)), ways
+
+
+@pytest.mark.parametrize("most_exact", [15, 0])
+def test_a_dead_end_of_the_greedy_order_does_not_end_the_search(most_exact):
+    options, true = dead_end()
+    costs = costs_of(options, true)
+    assert order_greedily(options, costs) is None
+    best = order_best(options, costs, None, n_evaluations=1000, exact_up_to=most_exact)
+    assert best.options.tolist() == [options.first[1], options.first[0], options.first[2]]
+    assert best.duration == pytest.approx(brute_force(options, true))
+
+
+@pytest.mark.parametrize("most_exact", [15, 0])
+def test_where_a_sweep_has_no_connection_there_is_no_order(most_exact):
     options, true = problem(0, 4, 2)
     own = slice(options.first[2], options.first[3])
     true[own, :], true[:, own] = np.inf, np.inf
-    with pytest.raises(InfeasibleError, match=r"from the end of view . to view 2:"):
-        order_greedily(options, costs_of(options, true))
+    costs = costs_of(options, true)
+    assert order_greedily(options, costs) is None
+    assert order_best(options, costs, None, n_evaluations=1000, exact_up_to=most_exact) is None
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 10_000), st.booleans())
+def test_whatever_is_missing_the_exact_order_is_that_of_brute_force(seed, returns):
+    options, true = problem(seed, 4, 2, returns=returns, share_missing=0.6)
+    costs = costs_of(options, true)
+    greedy = order_greedily(options, costs)
+    best = order_best(options, costs, greedy, n_evaluations=10_000)
+    least = brute_force(options, true)
+    if np.isinf(least):
+        assert greedy is None and best is None
+    else:
+        assert best.proven and best.duration == pytest.approx(least, abs=1e-9)
+        assert greedy is None or greedy.lower_bound <= least + 1e-9
 
 
 def test_a_stopped_search_says_what_it_has_proven():
