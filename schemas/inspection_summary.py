@@ -8,8 +8,9 @@ import numpy as np
 
 from cellwright.causes import Cause
 from schemas.motion import ScanCloud, Trajectory, Verification
+from schemas.overlaps import StandingOverlaps
 from schemas.part import PartMesh
-from schemas.views import Coverage, Viewpoints, ViewSelection
+from schemas.views import Coverage, Reachability, Viewpoints, ViewSelection
 
 METRICS = frozenset(
     {
@@ -20,7 +21,12 @@ METRICS = frozenset(
         "coverage_of_coverable",
         "coverage_of_samples",
         "duration_s",
+        "executed_sweeps",
         "greedy_sweeps",
+        "least_distance_m",
+        "order_lower_bound_s",
+        "order_proven_shortest",
+        "proven_distance_m",
         "scan_points",
         "scan_profiles",
         "scanning_s",
@@ -30,6 +36,7 @@ METRICS = frozenset(
         "uncertainty_mean_m",
         "uncertainty_median_m",
         "uncertainty_p95_m",
+        "unsettled_sweeps",
         "verified_states",
     }
 )
@@ -44,20 +51,65 @@ def summarise(
     scan: ScanCloud,
     coverage: Coverage,
     verification: Verification | None = None,
+    *,
+    overlaps: StandingOverlaps | None = None,
+    reachability: Reachability | None = None,
 ) -> dict[str, Any]:
     """Return the figures of a plan as plain JSON values, units in the names."""
-    return {
+    summary = {
         "area_m2": float(mesh.areas_m2.sum()),
         "area_to_measure_m2": float(mesh.areas_m2[mesh.to_measure].sum()),
         "findings": list(mesh.finding),
+        "overlaps": _overlap_figures(overlaps),
+        "unsettled_sweeps": reachability.n_unsettled if reachability else None,
         **_selection_figures(viewpoints, selection),
         **_motion_figures(trajectory),
         "scan_points": len(scan.points_m),
         "scan_profiles": len(scan.time_s),
         **_coverage_figures(coverage),
-        "verified_states": verification.n_states if verification else None,
-        "verified_by": verification.engine if verification else None,
+        **_verification_figures(verification),
     }
+    return {**summary, "attention": _attention(summary)}
+
+
+def _attention(summary: dict[str, Any]) -> list[str]:
+    """Return what a reader has to know before the plan is used, in words."""
+    found = [overlap["finding"] for overlap in summary["overlaps"]]
+    found += [
+        f"the sweep of view {sweep['view']} is left out: {sweep['reason']}" for sweep in summary["left_out_sweeps"]
+    ]
+    if summary["unsettled_sweeps"]:
+        found.append(
+            f"{summary['unsettled_sweeps']:,} candidate sweeps may be executable further than the plan takes them to "
+            "be: the limit on exact collision checks ended the search, which took the undecided poses as colliding"
+        )
+    return found
+
+
+def _verification_figures(verification: Verification | None) -> dict[str, Any]:
+    if verification is None:
+        distances = ("least_distance_m", "proven_distance_m", "nearest")
+        return dict.fromkeys(("verified_states", "verified_by", *distances))
+    nearest = {"bodies": list(verification.nearest_bodies), "time_s": verification.nearest_s}
+    is_apart = np.isfinite(verification.least_distance_m)  # infinite if nothing can be hit
+    return {
+        "verified_states": verification.n_states,
+        "verified_by": verification.engine,
+        "least_distance_m": verification.least_distance_m if is_apart else None,
+        "proven_distance_m": verification.proven_distance_m if is_apart else None,
+        "nearest": nearest if is_apart else None,
+    }
+
+
+def _overlap_figures(overlaps: StandingOverlaps | None) -> list[dict[str, Any]]:
+    if overlaps is None:
+        return []
+    return [
+        {"bodies": [body, other], "depth_at_least_m": depth, "finding": finding}
+        for body, other, depth, finding in zip(
+            overlaps.body, overlaps.other, overlaps.depth_m.tolist(), overlaps.finding
+        )
+    ]
 
 
 def blocking_bodies(coverage: Coverage) -> dict[str, int]:
@@ -91,6 +143,13 @@ def _motion_figures(trajectory: Trajectory) -> dict[str, Any]:
         "scanning_s": float(lasted[is_sweep].sum()),
         "orders_s": orders,
         "order": chosen[0] if chosen else "",
+        "order_lower_bound_s": trajectory.order_lower_bound_s,
+        "order_proven_shortest": trajectory.order_proven,
+        "executed_sweeps": int(is_sweep.sum()),
+        "left_out_sweeps": [
+            {"view": view, "reason": reason}
+            for view, reason in zip(trajectory.left_out_view.tolist(), trajectory.left_out_reason)
+        ],
     }
 
 

@@ -18,6 +18,7 @@ class Trajectory(Artefact):
     """The timed joint motion from the start configuration through all sweeps.
 
     Times rise strictly; the state at which a connection and a sweep meet is stored once, as one of the sweep.
+    Sweeps that are left out are findings: no segment executes them.
     """
 
     KIND: ClassVar[str] = "trajectory"
@@ -44,6 +45,12 @@ class Trajectory(Artefact):
     order_method: tuple[str, ...] = column("greedy, exact, ...: orders that were compared", dtype="str", table="orders")
     order_duration_s: FloatArray = column("Duration of the whole plan in that order", unit="s", table="orders")
     order_chosen: BoolArray = column("Whether this order is the plan", dtype="bool", table="orders")
+    left_out_view: Int32Array = column(
+        "View that was selected, now or before, and cannot be executed or connected", dtype="int32", table="left_out"
+    )
+    left_out_reason: tuple[str, ...] = column("Why, with the amounts", dtype="str", table="left_out")
+    order_lower_bound_s: float = fact("No order of the executed sweeps over such connections is shorter", unit="s")
+    order_proven: bool = fact("Whether the plan's order is proven shortest", dtype="bool")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -78,6 +85,14 @@ class Verification(Artefact):
     found: FloatArray = column("Worst value found", table="checks")
     permitted: FloatArray = column("Permitted value", table="checks")
     unit: tuple[str, ...] = column("Unit of both values", dtype="str", table="checks")
+    at_least: BoolArray = column(
+        "Whether the permitted value is the least, else the most", dtype="bool", table="checks"
+    )
+    least_distance_m: float = fact("Smallest distance of bodies found; infinite if no bodies are checked", unit="m")
+    proven_distance_m: float = fact("Bodies come nowhere nearer on the motion, between states neither", unit="m")
+    nearest_bodies: tuple[str, ...] = column("The two bodies that come nearest", dtype="str", table="nearest")
+    nearest_s: float = fact("Time at which they do", unit="s")
+    n_distances: int = fact("Distances measured for the proof", dtype="int64")
     n_states: int = fact("States checked by the second collision engine", dtype="int64")
     engine: str = fact("Collision engine that verified", dtype="str")
 

@@ -19,7 +19,7 @@ from schemas.body_params import BodyParams, BoxBody, CapsuleBody, CylinderBody, 
 from schemas.params import Params
 from schemas.poses import Pose
 from schemas.sources import CellModel, SourceFile
-from schemas.stage import stage
+from schemas.stage import Progress, no_progress, stage
 
 if TYPE_CHECKING:
     from cellwright.arrays import FloatArray
@@ -58,8 +58,10 @@ class CellModelParams(Params):
     seed: int = Field(default=0, ge=0, description="Seed of the sampling that finds pairs which never touch.")
 
 
-@stage(version=1)
-def assemble_cell(files: tuple[SourceFile, ...], *, params: CellModelParams) -> CellModel:
+@stage(version=2)
+def assemble_cell(
+    files: tuple[SourceFile, ...], *, params: CellModelParams, progress: Progress = no_progress
+) -> CellModel:
     """Assemble the cell model; meshes of URDF and bodies are found among the files by their names.
 
     Raises:
@@ -73,7 +75,7 @@ def assemble_cell(files: tuple[SourceFile, ...], *, params: CellModelParams) -> 
     from schemas.cell_objects import packed_bodies
 
     contents = _contents(files)
-    robot, links, home = _robot(params, contents)
+    robot, links, home, touching = _robot(params, contents)
     bodies = (
         *links,
         *(_body(body, contents, robot.n_joints, robot.chain.T_last_flange) for body in params.housing),
@@ -92,7 +94,8 @@ def assemble_cell(files: tuple[SourceFile, ...], *, params: CellModelParams) -> 
         cell,
         range(len(links)),
         np.random.default_rng(params.seed),
-        declared=_declared(params.ignored_pairs, [body.name for body in bodies]),
+        declared=_declared((*params.ignored_pairs, *touching), [body.name for body in bodies]),
+        progress=progress,
     )
     _check_start(replace(cell, ignored_pairs=ignored.pairs))
     chain = robot.chain
@@ -124,8 +127,8 @@ def _contents(files: Sequence[SourceFile]) -> dict[str, bytes]:
 
 def _robot(
     params: CellModelParams, contents: Mapping[str, bytes]
-) -> tuple[Robot, tuple[Body, ...], tuple[float, ...] | None]:
-    """Return the robot, its links' bodies, and the start configuration that it brings along."""
+) -> tuple[Robot, tuple[Body, ...], tuple[float, ...] | None, tuple[tuple[str, str], ...]]:
+    """Return the robot, its links' bodies, its own start configuration, and links of its that may touch."""
     from cellwright.cell.built_in_robots import built_in, built_in_bodies, built_in_urdf
     from cellwright.cell.robot import Robot
     from cellwright.cell.urdf_geometry import collision_bodies, meshes_among
@@ -145,8 +148,8 @@ def _robot(
         max_acceleration=acceleration,
     )
     if own is not None:
-        return robot, built_in_bodies(own.name, robot), own.home
-    return robot, collision_bodies(robot, meshes_among(contents)), None
+        return robot, built_in_bodies(own.name, robot), own.home, own.touching
+    return robot, collision_bodies(robot, meshes_among(contents)), None, ()
 
 
 def _text(name: str, content: bytes) -> str:

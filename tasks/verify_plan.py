@@ -2,7 +2,8 @@
 
 Independent of the planner: another collision engine (FCL on trimesh bodies), its own forward kinematics, and the
 motion itself instead of what the planner thought it was. Steps are so small that no point of the robot moves
-further than ``step_m`` and no joint turns more than ``step_rad`` between two checked states.
+further than ``step_m`` and no joint turns more than ``step_rad`` between two checked states; that nothing touches
+between them either is proven by distances, and the least distance of the whole motion is bounded from below.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ class VerifyParams(Params):
     limit_tolerance: float = Field(default=0.01, ge=0, lt=0.1, description="Share by which limits may be exceeded.")
 
 
-@stage(version=2)
+@stage(version=3)
 def verify_plan(
     cell: CellModel,
     mesh: PartMesh,
@@ -48,7 +49,8 @@ def verify_plan(
 ) -> Verification:
     """Check that the plan can run and does what was selected.
 
-    Every selected view must be executed over the interval of its best piece in ``reachability``.
+    Every selected view that the trajectory does not leave out must be executed over the interval of its best piece in
+    ``reachability``.
 
     Raises:
         InfeasibleError: If any check fails; it names the check, the time, the bodies and the amount.
@@ -59,8 +61,9 @@ def verify_plan(
     from cellwright.cell.verification_scene import VerificationScene
     from cellwright.solvers import plan_verification as verification
     from schemas.cell_objects import build_cell
-    from schemas.plan_objects import planned_sweeps, timed_plan
+    from schemas.plan_objects import executed_views, planned_sweeps, timed_plan
 
+    selection = executed_views(selection, trajectory)
     built = build_cell(cell, mesh, params.T_world_part.matrix())
     sweeps = planned_sweeps(viewpoints, reachability, selection, params.T_world_part.matrix())
     plan = timed_plan(trajectory, selection)
@@ -84,14 +87,23 @@ def verify_plan(
     )
     verification.require(checks)
     scene = VerificationScene(built)
-    collisions, n_states = verification.check_collisions(plan, built, scene, tolerances, progress)
-    checks += collisions
+    proof = verification.check_collisions(plan, built, scene, tolerances, progress)
+    checks += proof.checks
     verification.require(checks)
+    clearance = proof.clearance
+    if clearance is None:
+        raise TypeError("a motion without collision has no clearance")
     return Verification(
         check=tuple(check.name for check in checks),
         found=np.array([check.found for check in checks]),
         permitted=np.array([check.permitted for check in checks]),
         unit=tuple(check.unit for check in checks),
-        n_states=n_states,
+        at_least=np.array([check.at_least for check in checks]),
+        least_distance_m=clearance.found,
+        proven_distance_m=clearance.proven,
+        nearest_bodies=clearance.bodies,
+        nearest_s=clearance.time,
+        n_distances=clearance.n_measured,
+        n_states=proof.n_states,
         engine=scene.engine,
     )

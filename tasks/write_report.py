@@ -10,24 +10,25 @@ import base64
 import hashlib
 import json
 from importlib import resources
+from importlib.metadata import version
 from typing import Any
 
 import numpy as np
 from pydantic import Field
 
-from cellwright.arrays import BoolArray, FloatArray
 from cellwright.causes import Cause
-from cellwright.cell.transforms import rotation_from_quaternion
 from schemas.inspection_summary import blocking_bodies, summarise
 from schemas.motion import ScanCloud, Trajectory, Verification
+from schemas.overlaps import StandingOverlaps
 from schemas.params import Params
 from schemas.part import PartMesh, SurfaceSamples
 from schemas.report import InspectionReport
+from schemas.report_scene import scene_json
 from schemas.sources import CellModel
 from schemas.stage import stage
-from schemas.views import Coverage, Viewpoints, ViewSelection
+from schemas.views import Coverage, Reachability, Viewpoints, ViewSelection
 
-_CAUSE_WORDS = {
+CAUSE_WORDS = {
     Cause.NONE: "a scan point lies close enough",
     Cause.FIELD_OF_VIEW: "no candidate sweep has it inside the laser fan",
     Cause.INCIDENCE: "laser or detector look at it too flat, or from behind",
@@ -41,11 +42,9 @@ _CAUSE_WORDS = {
     Cause.TOO_SHORT: "the executable pieces of the sweeps that see it are too short",
     Cause.NOT_SELECTED: "a reachable sweep sees it, none of the selected ones (between samples, or beyond the goal)",
     Cause.NOT_SCANNED: "a selected sweep should see it, but no scan point came close enough",
+    Cause.NOT_CONNECTED: "only sweeps see it that the plan leaves out, as no way leads to them without collision",
 }
-
-
-_OFF_SURFACE = 0.002
-"""How far the points of the 3D view stand off the surface, as a share of the part's diagonal."""
+"""What stopped a point, in words for a person."""
 
 
 class ReportParams(Params):
@@ -56,22 +55,29 @@ class ReportParams(Params):
     max_uncertainty_m: float = Field(default=100e-6, gt=0, description="Permitted uncertainty, drawn as a line.")
     max_points: int = Field(default=20_000, ge=100, description="Most cloud points drawn in the 3D view.")
     template_sha256: str = Field(
-        default="", description="Hash of the page's template, so that a changed template makes another page."
+        default="",
+        description="Hash of the page's template and of what draws it, so that a change makes another page.",
     )
 
 
 def template_digest() -> str:
-    """Return the SHA-256 (hex) of the page's template."""
-    return hashlib.sha256(_template().encode()).hexdigest()
+    """Return the SHA-256 (hex) of the page's template and of the versions of what draws the page.
+
+    Part of the parameters, so that an upgraded template, viewer or chart library makes another page.
+    """
+    drawn_by = {name: version(name) for name in ("jinja2", "matplotlib", "plotly")}
+    return hashlib.sha256(f"{_template()}\n{json.dumps(drawn_by, sort_keys=True)}".encode()).hexdigest()
 
 
-@stage(version=1)
+@stage(version=3)
 def write_report(
     mesh: PartMesh,
     cell: CellModel,
     cloud: SurfaceSamples,
+    overlaps: StandingOverlaps,
     coverage: Coverage,
     viewpoints: Viewpoints,
+    reachability: Reachability,
     selection: ViewSelection,
     trajectory: Trajectory,
     verification: Verification,
@@ -86,7 +92,17 @@ def write_report(
     from cellwright.figures.coverage_map import coverage_picture
 
     spacing = 1.0 / np.sqrt(max(cloud.density_per_m2, 1e-9))
-    summary = summarise(mesh, viewpoints, selection, trajectory, scan, coverage, verification)
+    summary = summarise(
+        mesh,
+        viewpoints,
+        selection,
+        trajectory,
+        scan,
+        coverage,
+        verification,
+        overlaps=overlaps,
+        reachability=reachability,
+    )
     coverage_png = coverage_picture(
         mesh.vertices_m,
         mesh.faces,
@@ -117,6 +133,7 @@ def write_report(
         notes=params.notes,
         **_words(summary),
         tiles=_tiles(summary),
+        attention=summary["attention"],
         causes=_cause_rows(coverage),
         sweeps=_sweep_rows(selection, trajectory),
         orders=_order_rows(trajectory),
@@ -126,7 +143,7 @@ def write_report(
         uncertainty_png=base64.b64encode(uncertainty_png).decode(),
         plan_png=base64.b64encode(plan_png).decode(),
         plotly_js=_trusted(_plotly_js()),
-        scene_json=_trusted(_scene_json(mesh, cloud, coverage, viewpoints, trajectory, params.max_points)),
+        scene_json=_trusted(scene_json(mesh, cloud, coverage, viewpoints, trajectory, params.max_points)),
     )
     return InspectionReport(
         page.encode(), coverage_png, uncertainty_png, plan_png, json.dumps(summary, sort_keys=True, allow_nan=False)
@@ -143,26 +160,50 @@ def _words(summary: dict[str, Any]) -> dict[str, str]:
     saved = ""
     if {"greedy", summary["order"]} <= orders.keys() and summary["order"] != "greedy":
         saved = f" It saves {100 * (1 - orders[summary['order']] / orders['greedy']):.0f} % against the greedy order."
+    if summary["order_proven_shortest"]:
+        saved += " No other order of these sweeps over connections of this kind is shorter: that is proven."
+    elif summary["order_lower_bound_s"] > 0.0:
+        saved += f" No order of these sweeps takes less than {summary['order_lower_bound_s']:.1f} s."
+    apart = ""
+    if summary["least_distance_m"] is not None:
+        one, other = summary["nearest"]["bodies"]
+        apart = (
+            f" Bodies come as near as {_millimetres(summary['least_distance_m'])} mm ({one} and {other} at "
+            f"{summary['nearest']['time_s']:.2f} s); nowhere, between the checked states neither, do they come nearer "
+            f"than {_millimetres(summary['proven_distance_m'], up=False)} mm, which is proven."
+        )
     return {
-        "headline": f"{summary['sweeps']} sweeps measure {summary['coverage']:.2%} of the surface in "
+        "headline": f"{summary['executed_sweeps']} sweeps measure {summary['coverage']:.2%} of the surface in "
         f"{summary['duration_s']:.1f} s.",
         "cover_words": f"Chosen from {summary['candidates']:,} candidates; {proof}. "
         f"The greedy choice takes {summary['greedy_sweeps']}.",
         "order_words": f"{summary['scanning_s']:.1f} s of {summary['duration_s']:.1f} s are spent scanning. "
         f"The sweeps run in the {summary['order']} order.{saved}",
         "verification_words": f"{summary['verified_states']:,} states of the whole motion were checked again by "
-        f"{summary['verified_by']}, which did not plan it.",
+        f"{summary['verified_by']}, which did not plan it.{apart} Bodies that stand still are not part of this: "
+        + ("those that stand in one another are named above." if summary["overlaps"] else "none stands in another."),
+        "scan_words": f"The simulated scan has {summary['scan_points']:,} points in {summary['scan_profiles']:,} "
+        "profiles.",
     }
 
 
+def _millimetres(length_m: float, *, up: bool = True) -> str:
+    """Return a length in mm with two digits behind the point; a proven least one is rounded down."""
+    return f"{1e3 * length_m if up else np.floor(1e5 * length_m) / 100:.2f}"
+
+
 def _tiles(summary: dict[str, Any]) -> list[dict[str, str]]:
+    apart = summary["proven_distance_m"]
     return [
         {"value": f"{summary['coverage']:.2%}", "label": "of the surface measured"},
         {"value": f"{summary['coverage_of_coverable']:.2%}", "label": "of what any sweep can measure"},
-        {"value": str(summary["sweeps"]), "label": f"sweeps of {summary['candidates']:,} candidates"},
+        {"value": str(summary["executed_sweeps"]), "label": f"sweeps of {summary['candidates']:,} candidates"},
         {"value": f"{summary['duration_s']:.1f} s", "label": "cycle time"},
         {"value": f"{_micrometres(summary['uncertainty_median_m'])} µm", "label": "median uncertainty"},
-        {"value": f"{summary['scan_points']:,}", "label": "scan points"},
+        {
+            "value": "–" if apart is None else f"{_millimetres(apart, up=False)} mm",
+            "label": "proven least distance to anything",
+        },
     ]
 
 
@@ -179,7 +220,7 @@ def _cause_rows(coverage: Coverage) -> list[dict[str, str]]:
             "label": "measured" if cause is Cause.NONE else cause.label,
             "points": f"{counts[cause]:,}",
             "share": f"{counts[cause] / len(coverage.cause):.2%}",
-            "words": _CAUSE_WORDS[cause] + (collided if cause is Cause.COLLISION else ""),
+            "words": CAUSE_WORDS[cause] + (collided if cause is Cause.COLLISION else ""),
         }
         for cause in Cause
         if counts[cause]
@@ -224,13 +265,47 @@ def _order_rows(trajectory: Trajectory) -> list[dict[str, str]]:
     ]
 
 
+_SHOP_UNITS = {
+    "m": ("mm", 1e3),
+    "m/s": ("mm/s", 1e3),
+    "m/s^2": ("m/s²", 1.0),
+    "rad": ("°", 180.0 / np.pi),
+    "rad/s": ("°/s", 180.0 / np.pi),
+    "of the limit": ("% of the limit", 100.0),
+}
+"""Units as people on the shop floor use them, and the factor to them."""
+
+
 def _check_rows(verification: Verification) -> list[dict[str, str]]:
-    return [
-        {"check": check, "found": f"{found:.4g}", "permitted": f"{permitted:.4g}", "unit": unit}
-        for check, found, permitted, unit in zip(
-            verification.check, verification.found.tolist(), verification.permitted.tolist(), verification.unit
+    rows = []
+    for check, found, permitted, unit, at_least in zip(
+        verification.check,
+        verification.found.tolist(),
+        verification.permitted.tolist(),
+        verification.unit,
+        verification.at_least.tolist(),
+    ):
+        shown, factor = _SHOP_UNITS.get(unit, (unit, 1.0))
+        rows.append(
+            {
+                "check": check + (" (below zero: room that is left)" if found < 0.0 else ""),
+                "found": _plain(factor * found),
+                "permitted": f"{'≥' if at_least else '≤'} {_plain(factor * permitted)}".replace("≤ <", "<"),
+                "unit": shown,
+            }
         )
-    ]
+    return rows
+
+
+def _plain(value: float) -> str:
+    """Return a number as people read it: no powers of ten, nothing beyond what matters."""
+    if not np.isfinite(value):
+        return "–"
+    if value == 0.0:
+        return "0"
+    if abs(value) < 1e-3:
+        return "< 0.001" if value > 0.0 else "> -0.001"
+    return f"{value:.4g}" if abs(value) < 1e4 else f"{value:,.0f}"
 
 
 def _mesh_facts(mesh: PartMesh) -> dict[str, Any]:
@@ -243,69 +318,6 @@ def _mesh_facts(mesh: PartMesh) -> dict[str, Any]:
         "watertight": "yes" if mesh.watertight else "no",
         "findings": list(mesh.finding),
     }
-
-
-def _scene_json(
-    mesh: PartMesh,
-    cloud: SurfaceSamples,
-    coverage: Coverage,
-    viewpoints: Viewpoints,
-    trajectory: Trajectory,
-    max_points: int,
-) -> str:
-    from cellwright.figures.coverage_map import CAUSE_COLOURS
-
-    is_missed = coverage.cause != Cause.NONE
-    # what was missed is drawn before what was measured, and neither beyond what a browser turns smoothly
-    n_missed = min(int(is_missed.sum()), max_points // 2)
-    stride_missed = -(-int(is_missed.sum()) // max(n_missed, 1))
-    stride = -(-int((~is_missed).sum()) // (max_points - n_missed))
-    # a hair off the surface, which would swallow half of every point otherwise
-    off = _OFF_SURFACE * float(np.linalg.norm(np.ptp(mesh.vertices_m, axis=0)))
-    shown = cloud.points_m + off * cloud.normals
-    clouds = []
-    for cause in Cause:
-        of_cause: BoolArray = coverage.cause == cause
-        if not of_cause.any():
-            continue
-        points = shown[of_cause][:: stride_missed if cause else stride]
-        clouds.append(
-            {
-                "name": "measured" if cause is Cause.NONE else cause.label,
-                "colour": CAUSE_COLOURS[cause],
-                "missed": bool(cause),
-                **_xyz(points),
-            }
-        )
-    i, j, k = mesh.faces.T.tolist()
-    scene = {
-        "mesh": {**_xyz(mesh.vertices_m), "i": i, "j": j, "k": k},
-        "clouds": clouds,
-        "sweeps": _sweep_lines(viewpoints, trajectory),
-    }
-    return json.dumps(scene, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
-
-
-def _sweep_lines(viewpoints: Viewpoints, trajectory: Trajectory) -> dict[str, list[Any]]:
-    lines: dict[str, list[Any]] = {"x": [], "y": [], "z": [], "text": []}
-    number = 0
-    for segment, kind in enumerate(trajectory.kind):
-        if kind != "sweep":
-            continue
-        number += 1
-        view = int(trajectory.view[segment])
-        travel = trajectory.travel_m[trajectory.segment == segment][[0, -1]]
-        along = rotation_from_quaternion(viewpoints.quaternion[view])[:, 0]
-        ends = viewpoints.position_m[view] + travel[:, None] * along
-        for axis, values in _xyz(ends).items():
-            lines[axis] += [*values, None]
-        lines["text"] += [str(number), "", ""]
-    return lines
-
-
-def _xyz(points: FloatArray) -> dict[str, list[float]]:
-    x, y, z = np.round(1e3 * points, 2).T.tolist()
-    return {"x": x, "y": y, "z": z}
 
 
 def _template() -> str:

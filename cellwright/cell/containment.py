@@ -13,8 +13,9 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 
-from cellwright.arrays import FloatArray, Int32Array, IntArray
+from cellwright.arrays import BoolArray, FloatArray, Int32Array, IntArray
 from cellwright.cell.bodies import Mesh
+from cellwright.cell.mesh_topology import is_closed
 
 _MOST_CELLS = 512
 """Grid cells along an axis at most: memory for large meshes stays within a few megabytes."""
@@ -80,13 +81,6 @@ def weld(mesh: Mesh) -> tuple[FloatArray, IntArray]:
     faces = row.reshape(-1)[np.asarray(mesh.faces, np.int64)].reshape(-1, 3)
     proper = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
     return np.ascontiguousarray(vertices), np.ascontiguousarray(faces[proper], np.int64)
-
-
-def is_closed(faces: IntArray) -> bool:
-    """Whether every edge of welded faces (m, 3) belongs to an even number of triangles."""
-    edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
-    _, counts = np.unique(edges, axis=0, return_counts=True)
-    return bool((counts % 2 == 0).all())
 
 
 def component_points(mesh: Mesh) -> FloatArray:
@@ -166,3 +160,27 @@ def inside(
         if vertices[a, 2] + s * uz + t * vz > z:
             crossings += 1
     return crossings % 2 == 1
+
+
+def inside_all(points: FloatArray, mesh: ClosedMesh) -> BoolArray:
+    """Return whether each of many points (n, 3) of the mesh's frame lies inside, (n,)."""
+    found = np.empty(len(points), np.bool_)
+    arrays = (mesh.vertices, mesh.faces, mesh.low, mesh.cell, mesh.shape, mesh.first, mesh.listed)
+    _inside_all(np.ascontiguousarray(points, float), *arrays, found)
+    return found
+
+
+@numba.njit(cache=True, nogil=True)
+def _inside_all(
+    points: FloatArray,
+    vertices: FloatArray,
+    faces: IntArray,
+    low: FloatArray,
+    cell: FloatArray,
+    shape: IntArray,
+    first: IntArray,
+    listed: Int32Array,
+    found: BoolArray,
+) -> None:
+    for row in range(len(points)):
+        found[row] = inside(points[row], vertices, faces, low, cell, shape, first, listed)

@@ -2,20 +2,20 @@
 
 As MoveIt's set-up assistant does it: neighbouring links touch at their joint by design, pairs of the arm that collide
 in every one of many random configurations are modelled into each other, and pairs of the arm that never come within
-a margin cannot meet. Of the world, only what the robot's base stands in or on is left out: an obstacle that the
-moving arm hits in every configuration is in its way, and is told as such.
+a margin cannot meet. Of the world nothing is left out: an obstacle that the moving arm hits in every configuration is
+in its way, and is told as such. Two bodies that stand still, be one the robot's base, are not checked in any case.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
 
 from cellwright.arrays import FloatArray, Int8Array, Int32Array
-from cellwright.cell.bodies import BASE, WORLD
+from cellwright.cell.bodies import WORLD
 from cellwright.cell.cell import Cell
 from cellwright.cell.scene import Scene
 
@@ -53,6 +53,7 @@ def ignored_pairs(
     *,
     declared: Collection[tuple[int, int]] = (),
     n_samples: int = N_SAMPLES,
+    progress: Callable[[float], None] | None = None,
 ) -> IgnoredPairs:
     """Compute the pairs that need no check; the cell's own ``ignored_pairs`` are not looked at.
 
@@ -63,6 +64,7 @@ def ignored_pairs(
         generator: Source of the random configurations.
         declared: Pairs that somebody states as harmless.
         n_samples: Random configurations.
+        progress: Called with the share done.
     """
     parents = [body.parent for body in cell.bodies]
     n = len(parents)
@@ -80,14 +82,18 @@ def ignored_pairs(
                 found[a, b] = Reason.NEIGHBOURS
     for one, other in declared:
         found.setdefault((min(one, other), max(one, other)), Reason.DECLARED)
-    found |= _sampled(cell, found, generator, n_samples)
+    found |= _sampled(cell, found, generator, n_samples, progress or (lambda share: None))
     pairs = sorted(found)
     reasons = np.array([found[pair] for pair in pairs], np.int8)
     return IgnoredPairs(np.array(pairs, np.int32).reshape(-1, 2), reasons)
 
 
 def _sampled(
-    cell: Cell, known: Collection[tuple[int, int]], generator: np.random.Generator, n_samples: int
+    cell: Cell,
+    known: Collection[tuple[int, int]],
+    generator: np.random.Generator,
+    n_samples: int,
+    tell: Callable[[float], None],
 ) -> dict[tuple[int, int], Reason]:
     parents = np.array([body.parent for body in cell.bodies])
     skip = np.array(list(known), np.int32).reshape(-1, 2)
@@ -96,23 +102,25 @@ def _sampled(
     samples = generator.uniform(chain.lower, chain.upper, (n_samples, cell.robot.n_joints))
     samples[0] = cell.start
     touching, near = Scene(bare), Scene(bare, NEVER_MARGIN)
-    always = _counts(touching, samples[: max(1, n_samples // 10)])
-    within = _counts(near, samples)
+    always = _counts(touching, samples[: max(1, n_samples // 10)], lambda share: tell(0.1 * share))
+    within = _counts(near, samples, lambda share: tell(0.1 + 0.9 * share))
     found: dict[tuple[int, int], Reason] = {}
     for a, b in touching.pairs.tolist():
         pair = (min(a, b), max(a, b))
-        standing = max(parents[a], parents[b]) == BASE
-        of_arm = WORLD not in (parents[a], parents[b])
-        if (of_arm or standing) and always.get(pair, 0) == max(1, n_samples // 10):
+        if WORLD in (parents[a], parents[b]):
+            continue
+        if always.get(pair, 0) == max(1, n_samples // 10):
             found[pair] = Reason.ALWAYS_TOUCHING
-        elif of_arm and not standing and within.get(pair, 0) == 0:
+        elif within.get(pair, 0) == 0:
             found[pair] = Reason.NEVER_TOUCHING
     return found
 
 
-def _counts(scene: Scene, samples: FloatArray) -> dict[tuple[int, int], int]:
+def _counts(scene: Scene, samples: FloatArray, tell: Callable[[float], None]) -> dict[tuple[int, int], int]:
     counts: dict[tuple[int, int], int] = {}
-    for q in samples:
+    for number, q in enumerate(samples):
+        if number % 100 == 0:
+            tell(number / len(samples))
         for a, b in scene.colliding_pairs(q):
             pair = (min(a, b), max(a, b))
             counts[pair] = counts.get(pair, 0) + 1

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cellwright.arrays import BoolArray, FloatArray, IntArray
+from cellwright.arrays import BoolArray, FloatArray, Int32Array, IntArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,6 +33,25 @@ class Topology:
         forward = np.where(corners < np.roll(corners, -1, axis=1), 1, -1)  # (faces, 3)
         balance = np.bincount(self.edge_of_side.ravel(), forward.ravel(), len(self.edges))
         return not balance.any()
+
+
+def is_closed(faces: IntArray) -> bool:
+    """Whether every edge of welded faces (m, 3) belongs to an even number of them: then a mesh has an inside."""
+    edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
+    _, counts = np.unique(edges, axis=0, return_counts=True)
+    return bool((counts % 2 == 0).all())
+
+
+def is_closed_and_oriented(faces: IntArray | Int32Array) -> bool:
+    """Whether every edge of the faces (m, 3) belongs to two of them that run along it in opposite directions.
+
+    Stricter than `is_closed`: the normals then tell inside from outside everywhere.
+    """
+    directed = np.asarray(faces, np.int64)[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+    n = int(directed.max(initial=0)) + 1
+    forward = np.sort(directed[:, 0] * n + directed[:, 1])
+    backward = np.sort(directed[:, 1] * n + directed[:, 0])
+    return bool(len(forward)) and bool((np.diff(forward) > 0).all()) and bool((forward == backward).all())
 
 
 def topology_of(corners: IntArray) -> Topology:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from cellwright.arrays import BoolArray, FloatArray, IntArray
-from cellwright.cell.bodies import WORLD, Body, Box, Capsule, Cylinder, Mesh, Sphere
+from cellwright.cell.bodies import BASE, WORLD, Body, Box, Capsule, Cylinder, Mesh, Sphere
 from cellwright.cell.cell import Cell
 
 
@@ -23,10 +23,13 @@ class VerificationScene:
 
     Attributes:
         cell: The cell.
+        pairs: Pairs of rows of ``cell.bodies`` that are checked, (pairs, 2), lower row first: all that can move
+            against each other and are not ignored, if left out.
+        spheres: Centres (bodies, 3) in the bodies' frames and radii (bodies,) in m of spheres around them.
         engine: Name and version of the engine.
     """
 
-    def __init__(self, cell: Cell) -> None:
+    def __init__(self, cell: Cell, pairs: IntArray | None = None) -> None:
         import fcl
         import pinocchio
 
@@ -35,13 +38,14 @@ class VerificationScene:
         self._fcl, self._pinocchio = fcl, pinocchio
         self._model = cell.robot.model
         self._data = self._model.createData()
-        self._skins = [_Skin(body) for body in cell.bodies]
-        self._objects = [fcl.CollisionObject(skin.geometry, fcl.Transform()) for skin in self._skins]
+        self.skins = [Skin(body) for body in cell.bodies]
+        self._objects = [fcl.CollisionObject(skin.geometry, fcl.Transform()) for skin in self.skins]
         self._parents = np.array([body.parent for body in cell.bodies], np.int64)
         self._T_parent_body = np.array([body.T_parent_body for body in cell.bodies], float).reshape(-1, 4, 4)
-        self._pairs = self._checked_pairs()
-        self._centre = np.array([skin.centre for skin in self._skins]).reshape(-1, 3)
-        self._radius = np.array([skin.radius for skin in self._skins])
+        self.pairs = self._checked_pairs() if pairs is None else pairs
+        self._centre = np.array([skin.centre for skin in self.skins]).reshape(-1, 3)
+        self._radius = np.array([skin.radius for skin in self.skins])
+        self.spheres = self._centre, self._radius
         self._can_hold = self._nestable()
 
     def collides(self, q: FloatArray) -> bool:
@@ -53,14 +57,14 @@ class VerificationScene:
         self._pose(q)
         for pair in self._near():
             if self._pair_collides(pair):
-                a, b = self._pairs[pair]
+                a, b = self.pairs[pair]
                 return self.cell.bodies[a].name, self.cell.bodies[b].name
         return None
 
     def colliding_pairs(self, q: FloatArray) -> list[tuple[int, int]]:
         """Return all colliding pairs as rows of ``cell.bodies``, lower row first, sorted."""
         self._pose(q)
-        found = [self._pairs[pair] for pair in self._near() if self._pair_collides(pair)]
+        found = [self.pairs[pair] for pair in self._near() if self._pair_collides(pair)]
         return sorted((int(a), int(b)) for a, b in found)
 
     def distance(self, q: FloatArray) -> float:
@@ -72,18 +76,36 @@ class VerificationScene:
         for pair in np.argsort(apart, kind="stable").tolist():
             if apart[pair] >= smallest:
                 break
-            a, b = self._pairs[pair]
-            found = fcl.distance(self._objects[a], self._objects[b], fcl.DistanceRequest(), fcl.DistanceResult())
+            a, b = self.pairs[pair]
+            found = fcl.distance(self._placed(a), self._placed(b), fcl.DistanceRequest(), fcl.DistanceResult())
             smallest = min(smallest, max(0.0, float(found)))
         return smallest
 
+    def pair_distance(self, pair: int, q: FloatArray) -> float:
+        """Return the distance in m of the bodies of one of ``pairs``; 0 if their surfaces touch.
+
+        Of a body inside another it is the distance of their surfaces.
+        """
+        self._pinocchio.forwardKinematics(self._model, self._data, np.asarray(q, float))
+        placed = []
+        for row in self.pairs[pair].tolist():
+            parent = int(self._parents[row])
+            T = self._T_parent_body[row]
+            if parent >= BASE:  # pinocchio's joint 0 is the universe, here the base
+                T = self.cell.T_world_base @ self._data.oMi[parent].homogeneous @ T
+            self._objects[row].setTransform(self._fcl.Transform(T[:3, :3], T[:3, 3]))
+            placed.append(self._objects[row])
+        fcl = self._fcl
+        return max(0.0, float(fcl.distance(*placed, fcl.DistanceRequest(), fcl.DistanceResult())))
+
     def _checked_pairs(self) -> IntArray:
-        """All pairs of bodies that can move against each other or stand on base and world, less the ignored ones.
+        """All pairs of bodies that can move against each other, less the ignored ones.
 
         Pairs that the planner ignores only because no sample brought them near each other are checked.
         """
         n = len(self.cell.bodies)
-        checked = np.triu(np.ones((n, n), bool), 1) & (self._parents[:, None] != self._parents[None, :])
+        one, other = self._parents[:, None], self._parents[None, :]
+        checked = np.triu(np.ones((n, n), bool), 1) & (one != other) & (np.maximum(one, other) > BASE)
         unproven = {(min(a, b), max(a, b)) for a, b in self.cell.never_touching.tolist()}
         for a, b in np.asarray(self.cell.ignored_pairs).tolist():
             checked[min(a, b), max(a, b)] = (min(a, b), max(a, b)) in unproven
@@ -91,9 +113,9 @@ class VerificationScene:
 
     def _nestable(self) -> BoolArray:
         """Whether in a pair (pairs, 2) the first can hold the second, and the other way about, by their sizes."""
-        extent = np.array([skin.extent for skin in self._skins])
-        closed = np.array([skin.closed is not None for skin in self._skins], bool)
-        a, b = self._pairs[:, 0], self._pairs[:, 1]
+        extent = np.array([skin.extent for skin in self.skins])
+        closed = np.array([skin.closed is not None for skin in self.skins], bool)
+        a, b = self.pairs[:, 0], self.pairs[:, 1]
         first = closed[a] & (extent[b] <= 2.0 * self._radius[a])
         second = closed[b] & (extent[a] <= 2.0 * self._radius[b])
         return np.stack([first, second], axis=1)
@@ -106,11 +128,18 @@ class VerificationScene:
         carriers[1] = T_world_base  # pinocchio's joint 0 is the universe, here the base
         self._poses = carriers[np.where(self._parents == WORLD, 0, self._parents + 1)] @ self._T_parent_body
         self._centres = (self._poses[:, :3, :3] @ self._centre[:, :, None])[:, :, 0] + self._poses[:, :3, 3]
-        for placed, T in zip(self._objects, self._poses):
-            placed.setTransform(self._fcl.Transform(T[:3, :3], T[:3, 3]))
+        self._is_placed = [False] * len(self._objects)
+
+    def _placed(self, row: int) -> Any:
+        """Return the engine's body where it is; most bodies are never asked for, so it moves no sooner."""
+        if not self._is_placed[row]:
+            T = self._poses[row]
+            self._objects[row].setTransform(self._fcl.Transform(T[:3, :3], T[:3, 3]))
+            self._is_placed[row] = True
+        return self._objects[row]
 
     def _spheres_apart(self) -> FloatArray:
-        a, b = self._pairs[:, 0], self._pairs[:, 1]
+        a, b = self.pairs[:, 0], self.pairs[:, 1]
         between = np.linalg.norm(self._centres[a] - self._centres[b], axis=1)
         return np.asarray(between - self._radius[a] - self._radius[b])
 
@@ -119,28 +148,30 @@ class VerificationScene:
         return near
 
     def _pair_collides(self, pair: int) -> bool:
-        a, b = self._pairs[pair]
+        a, b = self.pairs[pair]
         fcl = self._fcl
-        if fcl.collide(self._objects[a], self._objects[b], fcl.CollisionRequest(), fcl.CollisionResult()):
+        if fcl.collide(self._placed(a), self._placed(b), fcl.CollisionRequest(), fcl.CollisionResult()):
             return True
         first, second = self._can_hold[pair]
         return (first and self._holds(a, b)) or (second and self._holds(b, a))
 
     def _holds(self, outer: int, inner: int) -> bool:
         """Whether closed mesh ``outer`` has a piece of ``inner`` inside, given that their surfaces do not touch."""
-        T = np.linalg.inv(self._poses[outer]) @ self._poses[inner]
-        points = self._skins[inner].witnesses @ T[:3, :3].T + T[:3, 3]
-        return any(self._skins[outer].contains(point) for point in points)
+        T_outer, T_inner = self._poses[outer], self._poses[inner]
+        p_world = self.skins[inner].witnesses @ T_inner[:3, :3].T + T_inner[:3, 3]
+        points = (p_world - T_outer[:3, 3]) @ T_outer[:3, :3]
+        return any(self.skins[outer].contains(point) for point in points)
 
 
-class _Skin:
+class Skin:
     """A body as FCL sees it, and what winding numbers and bounds need of it."""
 
     def __init__(self, body: Body) -> None:
         import fcl
 
         self.extent = 0.0  # longest edge of the bounding box, of the smallest piece
-        self.closed: FloatArray | None = None  # corners of the triangles (faces, 3, 3) of a closed mesh
+        self.corners: FloatArray | None = None  # of the triangles (faces, 3, 3) of a mesh, as the engine numbers them
+        self.closed: FloatArray | None = None  # the same of a closed mesh, consistently wound
         self.centre = np.zeros(3)
         self.witnesses = np.zeros((1, 3))
         match body.shape:
@@ -168,6 +199,7 @@ class _Skin:
         self.geometry.beginModel(len(solid.vertices), len(solid.faces))
         self.geometry.addSubModel(np.asarray(solid.vertices), np.asarray(solid.faces))
         self.geometry.endModel()
+        self.corners = np.array(solid.triangles)
         low, high = np.asarray(solid.bounds)
         self.centre = (low + high) / 2.0
         self.radius = float(np.linalg.norm(np.asarray(solid.vertices) - self.centre, axis=1).max())

@@ -7,13 +7,15 @@ states is at most that of the eight corners of a box around it, which is a bound
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Protocol
 
+import numba
 import numpy as np
 
 from cellwright.arrays import FloatArray
-from cellwright.cell.bodies import Body, Box, Capsule, Cylinder, Mesh, Sphere
+from cellwright.cell.bodies import Box, Capsule, Cylinder, Mesh, Shape, Sphere
 from cellwright.cell.cell import Cell
 from cellwright.cell.robot import Chain
 from cellwright.cell.transforms import apply
@@ -56,7 +58,7 @@ class MovingCorners:
     def of(cls, cell: Cell) -> MovingCorners:
         """Collect the corners of a cell's moving bodies."""
         moving = [body for body in cell.bodies if body.parent > 0]
-        corners = [_corners(body) for body in moving]
+        corners = [apply(body.T_parent_body, corners_of(body.shape)) for body in moving]
         link = np.repeat([body.parent for body in moving], 8) if moving else np.empty(0)
         return cls(cell.robot.chain, link, np.concatenate([np.empty((0, 3)), *corners]))
 
@@ -65,10 +67,30 @@ class MovingCorners:
         furthest = np.zeros(len(position) - 1)
         poses = link_poses_of(self.chain, position)
         for number in np.unique(self.link):
-            T = poses[:, int(number)]
-            points = np.einsum("nij,kj->nki", T[:, :3, :3], self.p_link[self.link == number]) + T[:, None, :3, 3]
-            np.maximum(furthest, np.linalg.norm(np.diff(points, axis=0), axis=2).max(axis=1), out=furthest)
+            np.maximum(
+                furthest,
+                chords(np.ascontiguousarray(poses[:, int(number)]), self.p_link[self.link == number]),
+                out=furthest,
+            )
         return furthest
+
+
+@numba.njit(cache=True, nogil=True)
+def chords(T: FloatArray, points: FloatArray) -> FloatArray:
+    """Return how far the furthest of points (k, 3) moves from each pose (n, 4, 4) to the next, (n - 1,) in m."""
+    furthest = np.zeros(len(T) - 1)
+    for row in range(len(T) - 1):
+        most = 0.0
+        for k in range(len(points)):
+            square = 0.0
+            for i in range(3):
+                way = T[row + 1, i, 3] - T[row, i, 3]
+                for j in range(3):
+                    way += (T[row + 1, i, j] - T[row, i, j]) * points[k, j]
+                square += way * way
+            most = max(most, square)
+        furthest[row] = math.sqrt(most)
+    return furthest
 
 
 def link_poses_of(chain: Chain, position: FloatArray) -> FloatArray:
@@ -109,8 +131,8 @@ def dense_times(motion: Motion, corners: MovingCorners, *, step: float, step_ang
     raise SolverError(f"a motion of {len(motion.time)} states cannot be cut into steps of {step * 1e3:.3g} mm")
 
 
-def _corners(body: Body) -> FloatArray:
-    shape = body.shape
+def corners_of(shape: Shape) -> FloatArray:
+    """Return the corners (8, 3) in m of the box around a shape, in the body's frame."""
     match shape:
         case Box():
             half = np.array(shape.size) / 2.0
@@ -125,4 +147,4 @@ def _corners(body: Body) -> FloatArray:
         case Mesh():
             low, high = shape.vertices.min(axis=0), shape.vertices.max(axis=0)
     choice = np.array([[i & 1, i >> 1 & 1, i >> 2 & 1] for i in range(8)], bool)
-    return apply(body.T_parent_body, np.where(choice, high, low))
+    return np.where(choice, high, low)

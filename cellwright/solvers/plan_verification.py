@@ -2,13 +2,13 @@
 
 The motion is read as what it is, the cubic Hermite curve through its states. Limits are checked at its exact
 extremes, at the stated values and by finite differences; scanner poses and collisions in steps so small that no
-point of the robot moves further than a bound (`cellwright.solvers.motion_steps`). Collisions are left to the
+point of the robot moves further than a bound (`cellwright.solvers.motion_steps`). What lies between those steps is
+proven free of contact by distances (`cellwright.solvers.clearance_proof`). Collisions and distances are left to the
 engine that is handed in, which is not the planner's. Every check says what was found and what is permitted.
 """
 
 from __future__ import annotations
 
-import heapq
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
@@ -19,6 +19,7 @@ from cellwright.arrays import FloatArray, Int32Array
 from cellwright.cell.cell import Cell
 from cellwright.cell.transforms import inverse
 from cellwright.errors import InfeasibleError, InvalidInputError, listed
+from cellwright.solvers.clearance_proof import CONTACT, Clearance, PairChecker, prove_clearance
 from cellwright.solvers.hermite import peak_acceleration, peak_velocity, position_extremes, states_at
 from cellwright.solvers.motion_steps import MovingCorners, dense_times, link_poses_of
 from cellwright.solvers.planned_sweep import PlannedSweep
@@ -26,21 +27,17 @@ from cellwright.solvers.planned_sweep import PlannedSweep
 SAME_TIME = 1e-9
 """Seconds within which two times are one."""
 STATES_PER_REPORT = 250
-DISTANCES = 400
-"""States at which distances are measured: each takes 1 to 3 ms."""
+STATES_SHARE = 0.85
+"""Share of the work that goes into the states; the rest goes into what lies between them."""
 ACCELERATION_WINDOW = 8e-3
 """Seconds over which the scanner's acceleration is a mean: shorter ones would show rounding."""
 
 
-class StateChecker(Protocol):
+class StateChecker(PairChecker, Protocol):
     """What verification asks of a collision engine."""
 
     def collision(self, q: FloatArray, /) -> tuple[str, str] | None:
         """Return the names of two bodies that touch at ``q`` (joints,) in rad, ``None`` if none do."""
-        ...
-
-    def distance(self, q: FloatArray, /) -> float:
-        """Return the smallest distance of two bodies at ``q`` in m."""
         ...
 
 
@@ -87,18 +84,22 @@ class TimedPlan:
 
 @dataclass(frozen=True)
 class Check:
-    """One check: the worst value found, the permitted one, and where the worst was found."""
+    """One check: the worst value found, the permitted one, and where the worst was found.
+
+    What is permitted is the most; with ``at_least`` the least.
+    """
 
     name: str
     found: float
     permitted: float
     unit: str
     where: str = ""
+    at_least: bool = False
 
     @property
     def passed(self) -> bool:
         """Whether what was found is permitted; not a number is not."""
-        return self.found <= self.permitted
+        return self.found >= self.permitted if self.at_least else self.found <= self.permitted
 
 
 def require(checks: Sequence[Check]) -> None:
@@ -112,10 +113,12 @@ def require(checks: Sequence[Check]) -> None:
         return
     worst = failed[0]
     others = f"; {listed([check.name for check in failed[1:]])} failed too" if len(failed) > 1 else ""
+    asked = "demanded" if worst.at_least else "permitted"
     raise InfeasibleError(
         f"the plan fails its verification: {worst.name} is {worst.found:.6g} {worst.unit} where "
-        f"{worst.permitted:.6g} {worst.unit} is permitted{worst.where and ', ' + worst.where}{others}: "
-        "plan again with more clearance or lower limits, and do not run this plan"
+        f"{worst.permitted:.6g} {worst.unit} is {asked}{worst.where and ', ' + worst.where}{others}: "
+        "plan again with more clearance_m, or with lower max_velocity_rad_s or max_acceleration_rad_s2, and do not run "
+        "this plan"
     )
 
 
@@ -216,16 +219,25 @@ def check_sweeps(
     return checks + list(worst.values())
 
 
+@dataclass(frozen=True)
+class CollisionProof:
+    """What was found of collisions: the checks, the states checked, and how near bodies come if nothing collides."""
+
+    checks: list[Check]
+    n_states: int
+    clearance: Clearance | None
+
+
 def check_collisions(
     plan: TimedPlan,
     cell: Cell,
     checker: StateChecker,
     tolerances: Tolerances,
     progress: Callable[[float], None] = lambda share: None,
-) -> tuple[list[Check], int]:
-    """Check the whole plan for collisions in small steps; return the checks and the number of states checked.
+) -> CollisionProof:
+    """Check the whole plan for collisions in small steps, then prove that none lies between them.
 
-    It ends with the first collision; without one it looks for the state at which bodies are nearest.
+    It ends with the first collision.
     """
     corners = MovingCorners.of(cell)
     time = dense_times(plan, corners, step=tolerances.step, step_angle=tolerances.step_angle)
@@ -235,7 +247,7 @@ def check_collisions(
     collisions, where = 0, ""
     for number, q in enumerate(position):
         if number % STATES_PER_REPORT == 0:
-            progress(number / len(position))
+            progress(STATES_SHARE * number / len(position))
         touching = checker.collision(q)
         if touching is not None:
             collisions, where = 1, f"{_at(time[number : number + 1])}: {touching[0]} touches {touching[1]}"
@@ -245,44 +257,17 @@ def check_collisions(
         Check("motion between checked states", float(moved.max()), tolerances.step, "m"),
         Check("joint turn between checked states", turned, tolerances.step_angle, "rad"),
     ]
+    clearance = None
     if collisions == 0:
-        distance, row = smallest_distance(position, moved, checker)
-        near = _at(time[row : row + 1])
-        checks.append(Check("overlap of the nearest bodies (below zero: distance)", -distance, 0.0, "m", near))
+        clearance = prove_clearance(plan, time, cell, checker)
+        where = f"at {clearance.time:.3f} s: {' and '.join(clearance.bodies)}"
+        checks.append(
+            Check(
+                "distance of bodies, between checked states too", clearance.proven, CONTACT, "m", where, at_least=True
+            )
+        )
     progress(1.0)
-    return checks, len(position)
-
-
-def smallest_distance(
-    position: FloatArray, moved: FloatArray, checker: StateChecker, most: int = DISTANCES
-) -> tuple[float, int]:
-    """Return the smallest distance in m of bodies at the states (states, joints), and the state that has it.
-
-    Between two states that are ``s`` m of motion apart (``moved`` (states - 1,) from each to the next) two bodies come
-    nearer by at most ``s`` than the mean of their distances at both. The stretch that could hold the smallest is
-    halved first, until none can or ``most`` states have been measured: then a smaller one may be left.
-    """
-    travelled = np.concatenate([[0.0], np.cumsum(moved)])
-    found: dict[int, float] = {}
-
-    def measured(row: int) -> float:
-        if row not in found:
-            found[row] = checker.distance(position[row])
-        return found[row]
-
-    def stretch(a: int, b: int) -> tuple[float, int, int]:
-        return 0.5 * (measured(a) + measured(b)) - float(travelled[b] - travelled[a]), a, b
-
-    open_stretches = [stretch(0, len(position) - 1)]
-    while open_stretches and len(found) < most and open_stretches[0][0] < min(found.values()):
-        _, a, b = heapq.heappop(open_stretches)
-        middle = int(np.clip(np.searchsorted(travelled, 0.5 * (travelled[a] + travelled[b])), a + 1, b - 1))
-        measured(middle)
-        for one, other in ((a, middle), (middle, b)):
-            if other - one > 1:
-                heapq.heappush(open_stretches, stretch(one, other))
-    nearest = min(found, key=lambda row: (found[row], row))
-    return found[nearest], nearest
+    return CollisionProof(checks, len(position), clearance)
 
 
 def _check_sweep(

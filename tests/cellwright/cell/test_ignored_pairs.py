@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from cellwright.cell.bodies import WORLD, Body, Box
+from cellwright.cell.bodies import BASE, WORLD, Body, Box
 from cellwright.cell.ignored_pairs import IgnoredPairs, Reason, ignored_pairs
 from cellwright.cell.scene import Scene
 from tests.cellwright.cell.cells import at, scanning_cell
@@ -32,10 +32,17 @@ def test_every_reason_is_found() -> None:
 
 
 def test_bodies_modelled_into_each_other_always_touch() -> None:
-    bodies = (*CELL.bodies, Body("plinth", Box((0.3, 0.3, 0.2)), WORLD, at(0, 0, -0.05)))
+    bodies = (*CELL.bodies, Body("skirt", Box((0.3, 0.3, 0.2)), BASE, at(0, 0, 0.05)))
     found = ignored_pairs(replace(CELL, bodies=bodies), range(7), np.random.default_rng(0))
     rows = {tuple(pair): code for pair, code in zip(found.pairs.tolist(), found.reason.tolist())}
-    assert rows[0, len(bodies) - 1] == Reason.ALWAYS_TOUCHING
+    assert rows[1, len(bodies) - 1] == Reason.ALWAYS_TOUCHING
+
+
+def test_what_the_base_stands_in_is_not_looked_at() -> None:
+    bodies = (*CELL.bodies, Body("plinth", Box((0.3, 0.3, 0.2)), WORLD, at(0, 0, -0.05)))
+    found = ignored_pairs(replace(CELL, bodies=bodies), range(7), np.random.default_rng(0))
+    assert [0, len(bodies) - 1] not in found.pairs.tolist()
+    assert Scene(replace(CELL, bodies=bodies, ignored_pairs=found.pairs)).colliding_pair(CELL.start) is None
 
 
 def test_the_tool_is_checked_against_the_link_before_it() -> None:

@@ -5,8 +5,6 @@ from functools import cache
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from cellwright.cell.bodies import WORLD, Body, Box
 from cellwright.cell.transforms import pose, rotation_from_rpy
@@ -55,12 +53,12 @@ def sweep_rows(number=0):
 def test_a_sound_plan_passes_every_check():
     progress = []
     checks = verification.check_order(sound()) + quick_checks(sound())
-    collisions, n_states = verification.check_collisions(
+    proof = verification.check_collisions(
         sound(), cell(), VerificationScene(cell()), Tolerances(step=3e-3, step_angle=0.005), progress.append
     )
-    assert failed(checks + collisions) == set()
-    verification.require(checks + collisions)
-    assert n_states > len(sound().time)
+    assert failed(checks + proof.checks) == set()
+    verification.require(checks + proof.checks)
+    assert proof.n_states > len(sound().time)
     assert progress == sorted(progress) and progress[-1] == 1.0
     assert len({check.name for check in checks}) == len(checks)
 
@@ -70,7 +68,7 @@ def test_a_body_in_the_way_is_found_by_the_second_engine_with_time_and_names():
     T = scanning_cell.sweeps()[sweep].T_world_scanner
     wall = Body("wall", Box((0.02, 0.02, 0.02)), WORLD, T @ pose(np.array([0.0, 0.0, -0.03]), np.eye(3)))
     blocked = replace(cell(), bodies=(*cell().bodies, wall))
-    checks, _ = verification.check_collisions(sound(), blocked, VerificationScene(blocked), COARSE)
+    checks = verification.check_collisions(sound(), blocked, VerificationScene(blocked), COARSE).checks
     assert failed(checks) == {"colliding states"}
     with pytest.raises(
         InfeasibleError, match=r"colliding states is 1 .* at \d+\.\d+ s: (scanner touches wall|wall touches scanner)"
@@ -83,53 +81,27 @@ def test_a_collision_between_two_states_is_found():
         def collision(self, q):
             return ("link", "hair") if np.abs(q - crossing).max() < 0.002 else None
 
-        def distance(self, q):
-            return 1.0
-
     q = sound().position
     row = int(np.argmax(np.abs(np.diff(q, axis=0)).max(axis=1)))
     crossing = 0.5 * (q[row] + q[row + 1])
     assert np.abs(q - crossing).max(axis=1).min() > 0.002
-    checks, _ = verification.check_collisions(sound(), cell(), Between(), Tolerances(step_angle=0.003, step=0.1))
-    assert "colliding states" in failed(checks)
+    found = verification.check_collisions(sound(), cell(), Between(), Tolerances(step_angle=0.003, step=0.1))
+    assert "colliding states" in failed(found.checks)
 
 
-class PointAmongPoints:
-    """The first coordinates are a point's position, bodies are points that stand in its way."""
-
-    def __init__(self, bodies):
-        self.bodies, self.asked = bodies, 0
-
-    def collision(self, q):
-        return None
-
-    def distance(self, q):
-        self.asked += 1
-        return float(np.linalg.norm(self.bodies - q, axis=1).min())
-
-
-@given(seed=st.integers(0, 10**6))
-def test_the_smallest_distance_is_found_without_measuring_all(seed):
-    rng = np.random.default_rng(seed)
-    position = np.cumsum(rng.uniform(-0.01, 0.02, (rng.integers(2, 800), 3)), axis=0)
-    bodies = position[rng.integers(len(position), size=3)] + rng.normal(scale=0.2, size=(3, 3))
-    moved = np.linalg.norm(np.diff(position, axis=0), axis=1)
-    every = np.linalg.norm(position[:, None] - bodies, axis=2).min(axis=1)
-    checker = PointAmongPoints(bodies)
-    distance, row = verification.smallest_distance(position, moved, checker, most=1000)
-    assert distance == every.min() == every[row]
-    assert checker.asked <= len(position)
-    limited = PointAmongPoints(bodies)
-    bounded, row = verification.smallest_distance(position, moved, limited, most=10)
-    assert bounded == every[row] >= distance and limited.asked <= 11
-
-
-def test_the_smallest_distance_of_bodies_is_stored_and_less_than_none_fails():
-    checks, _ = verification.check_collisions(sound(), cell(), VerificationScene(cell()), COARSE)
-    nearest = next(check for check in checks if check.name.startswith("overlap of the nearest bodies"))
+def test_the_least_distance_is_proven_between_the_states_too():
+    proof = verification.check_collisions(sound(), cell(), VerificationScene(cell()), COARSE)
+    check = next(check for check in proof.checks if check.name == "distance of bodies, between checked states too")
     scene = VerificationScene(cell())
-    assert 0.005 - 1e-5 <= -nearest.found <= min(scene.distance(q) for q in sound().position[::50])
-    assert nearest.passed and nearest.where.startswith("at ")
+    found, proven = proof.clearance.found, proof.clearance.proven
+    assert (
+        0.0 < check.permitted < check.found == proven <= found <= min(scene.distance(q) for q in sound().position[::50])
+    )
+    assert check.passed and check.at_least and check.where.startswith("at ")
+    touching = replace(check, found=0.0)
+    assert not touching.passed
+    with pytest.raises(InfeasibleError, match=r"between checked states too is 0 m where 1e-06 m is demanded, at \d"):
+        verification.require([touching])
 
 
 def test_too_fast_a_plan_fails_speed_and_acceleration():
