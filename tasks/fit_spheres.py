@@ -1,0 +1,193 @@
+"""Cover the bodies of a cell, the workpiece, or both with few spheres, for solvers that need smooth distances.
+
+The default method proves that nothing of a body sticks out of its hull (`cellwright.solvers.sphere_fitting`). Pairs of
+hulls that need no check against each other are found for the hulls, which are larger than the bodies. A body without
+spheres in ``n_spheres_of`` gets ``n_spheres``; a body with 0 gets no hull.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from pydantic import Field
+
+from cellwright.errors import CellwrightError, InvalidInputError, listed
+from schemas.params import Params
+from schemas.part import PartMesh
+from schemas.sources import CellModel
+from schemas.sphere_hull import SphereHull
+from schemas.stage import stage
+
+if TYPE_CHECKING:
+    from cellwright.arrays import FloatArray
+    from cellwright.cell.bodies import Mesh
+    from cellwright.solvers.sphere_fitting import SphereFit
+
+N_POSES = 2000
+"""Random configurations that pairs of hulls are sorted by."""
+
+
+class SphereParams(Params):
+    """Settings of the sphere hulls."""
+
+    method: Literal["certified", "k-means"] = Field(
+        default="certified", description="Our fit with proofs, or k-means as in Baumgaertner 2025, section 3."
+    )
+    n_spheres: int = Field(default=20, ge=1, le=512, description="Spheres of a body.")
+    n_spheres_of: dict[str, int] = Field(
+        default_factory=dict, description="Other numbers for some bodies, by name; 0 leaves the body out."
+    )
+    tolerance_m: float | None = Field(
+        default=None, gt=0, description="Instead of a number: no sphere sticks out by more; the fewest that are found."
+    )
+    inflate: bool = Field(default=True, description="Whether k-means' spheres are grown until the proofs hold.")
+    trials: tuple[int, ...] = Field(default=(), description="Further numbers of spheres to measure, for each body.")
+    n_starts: int = Field(default=4, ge=1, le=64, description="Starts that the certified method chooses from.")
+    seed: int = Field(default=0, ge=0, description="Seed of all random choices.")
+
+
+@stage(version=1)
+def fit_spheres(cell: CellModel | None, mesh: PartMesh | None, *, params: SphereParams) -> SphereHull:
+    """Fit the spheres.
+
+    Raises:
+        InvalidInputError: If there is no body, a body named in ``n_spheres_of`` does not exist, or a number of
+            spheres is out of range.
+        InfeasibleError: If no number of spheres keeps ``tolerance_m``.
+        SolverError: If a proof fails.
+    """
+    from cellwright.threads import map_slices
+
+    meshes = _meshes(cell, mesh)
+    unknown = [name for name in params.n_spheres_of if name not in meshes]
+    if unknown:
+        raise InvalidInputError(
+            f"spheres are asked for body {listed(unknown)}, but the bodies are {listed(meshes, 30)}"
+        )
+    names = list(meshes)
+    generators = np.random.default_rng(params.seed).spawn(len(names) + 1)
+    wanted = [params.n_spheres_of.get(name, params.n_spheres) for name in names]
+
+    def fitted(rows: slice) -> list[SphereFit]:
+        row = rows.start
+        return _trials(names[row], meshes[names[row]], wanted[row], generators[row], params) if wanted[row] else []
+
+    fits = list(map_slices(fitted, len(names), 1))
+    if not any(fits):
+        raise InvalidInputError("every body has 0 spheres: give at least one a number")
+    pairs = _pairs(cell, [found[0] if found else None for found in fits], len(names), generators[-1])
+    return SphereHull(method=params.method, **_columns(names, fits), **pairs)
+
+
+def _meshes(cell: CellModel | None, mesh: PartMesh | None) -> dict[str, Mesh]:
+    from cellwright.cell.bodies import Mesh
+    from cellwright.cell.cell import PART
+    from cellwright.cell.enclosing_mesh import enclosing_mesh
+    from schemas.cell_objects import unpacked_bodies
+
+    found = {} if cell is None else {body.name: enclosing_mesh(body.shape) for body in unpacked_bodies(cell)}
+    if mesh is not None:
+        if PART in found:
+            raise InvalidInputError(f"a body of the cell is named {PART!r}: that is the workpiece's name")
+        found[PART] = Mesh(mesh.vertices_m, mesh.faces)
+    if not found:
+        raise InvalidInputError("there is no body to cover with spheres: give a cell, a part, or both")
+    return found
+
+
+def _trials(
+    name: str, mesh: Mesh, n_spheres: int, generator: np.random.Generator, params: SphereParams
+) -> list[SphereFit]:
+    """Return the hull that is kept, then those of the other numbers."""
+    from cellwright.solvers.sphere_body import sphere_body
+    from cellwright.solvers.sphere_fitting import FitSettings, fit_spheres, fit_to_body
+
+    settings = FitSettings(params.method, params.n_starts, inflate=params.inflate)
+    kept, *others = generator.spawn(1 + len(params.trials))
+    try:
+        if params.tolerance_m is not None and name not in params.n_spheres_of:
+            chosen = fit_spheres(mesh, tolerance=params.tolerance_m, generator=kept, settings=settings)
+        else:
+            chosen = fit_spheres(mesh, n_spheres, generator=kept, settings=settings)
+        body = sphere_body(mesh)
+        return [chosen, *(fit_to_body(body, n, other, settings) for n, other in zip(params.trials, others))]
+    except CellwrightError as error:
+        raise type(error)(f"body {name!r}: {error}") from error
+
+
+def _columns(names: Sequence[str], fits: Sequence[Sequence[SphereFit]]) -> dict[str, Any]:
+    kept = [found[0] if found else None for found in fits]
+    counts = np.array([len(fit.radii) if fit else 0 for fit in kept], np.int32)
+    there = [fit for fit in kept if fit]
+    trials = [(row, place == 0, fit) for row, found in enumerate(fits) for place, fit in enumerate(found)]
+    measured = [fit.metrics for _, _, fit in trials]
+    lengths = (
+        "protrusion_mean", "protrusion_p95", "protrusion_max", "gap_mean", "gap_p95", "gap_max"
+    )  # fmt: skip
+    return {
+        "body": tuple(names),
+        "first_sphere": (np.cumsum(counts) - counts).astype(np.int32),
+        "n_spheres": counts,
+        "surface_covered": np.array([fit is not None and fit.surface_covered for fit in kept]),
+        "interior": tuple(fit.interior if fit else "not covered" for fit in kept),
+        "volume_kind": tuple(fit.volume_kind if fit else "" for fit in kept),
+        "margin_m": np.array([fit.margin if fit else 0.0 for fit in kept]),
+        "centre_m": np.concatenate([fit.centres for fit in there]),
+        "radius_m": np.concatenate([fit.radii for fit in there]),
+        "overshoot_m": np.concatenate([fit.overshoot for fit in there]),
+        "trial_body": np.array([row for row, _, _ in trials], np.int32),
+        "trial_n_spheres": np.array([found.n_spheres for found in measured], np.int32),
+        "trial_chosen": np.array([chosen for _, chosen, _ in trials]),
+        "coverage": np.array([found.coverage for found in measured]),
+        **{f"{name}_m": np.array([getattr(found, name) for found in measured]) for name in lengths},
+        "overshoot_max_m": np.array([found.overshoot for found in measured]),
+        "volume_m3": np.array([found.volume for found in measured]),
+        "volume_ratio": np.array([found.volume_ratio for found in measured]),
+    }
+
+
+def _pairs(
+    cell: CellModel | None, hulls: Sequence[SphereFit | None], n_bodies: int, generator: np.random.Generator
+) -> dict[str, Any]:
+    """Sort the pairs of the cell's own bodies; a workpiece is moved by others and stays checked against all."""
+    from cellwright.cell.bodies import WORLD
+    from cellwright.cell.ignored_pairs import Reason
+    from cellwright.cell.sphere_pairs import hull_pairs
+    from cellwright.cell.transforms import apply
+    from schemas.cell_objects import build_cell
+
+    if cell is None:
+        nothing = np.empty((0, 2), np.int32)
+        return {
+            "ignored_pair": nothing,
+            "ignored_reason": np.empty(0, np.int8),
+            "checked_pair": nothing,
+            "touching_share": np.empty(0),
+        }
+    built = build_cell(cell)
+    chain = built.robot.chain
+    samples = generator.uniform(chain.lower, chain.upper, (N_POSES, built.robot.n_joints))
+    T_base_world = np.linalg.inv(built.T_world_base)
+    # row 0 the world, row 1 the base, then the links
+    groups = np.array([[T_base_world, *built.robot.link_poses(q)] for q in samples])  # (samples, groups, 4, 4)
+    centres: list[FloatArray] = []
+    radii: list[FloatArray] = []
+    for body, hull in zip(built.bodies, hulls):
+        centres.append(np.empty((0, 3)) if hull is None else apply(body.T_parent_body, hull.centres))
+        radii.append(np.empty(0) if hull is None else hull.radii)
+    parents = [body.parent for body in built.bodies]
+    known = {
+        (min(pair), max(pair)): Reason(int(reason))
+        for pair, reason in zip(cell.ignored_pair.tolist(), cell.ignored_reason.tolist())
+        # samples of the bodies say nothing of hulls, which are larger
+        if reason != Reason.NEVER_TOUCHING
+    }
+    found = hull_pairs(centres, radii, parents, [groups[:, parent - WORLD] for parent in parents], (), known=known)
+    return {
+        "ignored_pair": found.ignored,
+        "ignored_reason": found.reason,
+        "checked_pair": found.checked,
+        "touching_share": found.touching,
+    }
