@@ -37,6 +37,8 @@ class Cause(IntEnum):
     """A reachable sweep measures it, but none of the selected ones (a goal below 100 %, or between the samples)."""
     NOT_SCANNED = 12
     """A selected sweep should measure it, but no profile of the simulated scan fell close enough."""
+    NOT_CONNECTED = 13
+    """Only sweeps measure it that the plan leaves out: they cannot be executed or connected without collision."""
 
     @property
     def label(self) -> str:

@@ -12,18 +12,18 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from types import FrameType
 from typing import TYPE_CHECKING, Any, NoReturn, Protocol
 
 from cellwright.errors import CellwrightError
-from flows.output import stdout_console, write_json
+from flows.interrupts import FAREWELL, INTERRUPTED, leave_now_if_busy, stopping_at_interrupt
+from flows.output import stderr_console, stdout_console, write_json
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-INTERRUPTED = 130
+    from flows.findings import Findings
 
 _EPILOG = """\
 examples:
@@ -54,24 +54,29 @@ class Summary(Protocol):
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code."""
     options = parser().parse_args(arguments)
-    with _stopping_at_interrupt():
-        return _run(options)
+    with stopping_at_interrupt() as ended:
+        return _run(options, ended)
 
 
-def _run(options: argparse.Namespace) -> int:
+def _run(options: argparse.Namespace, ended: threading.Event) -> int:
     try:
         code = int(options.run(options))
         sys.stdout.flush()
         return code
     except CellwrightError as error:
         sys.stderr.write(f"error: {error}\n")
+        if getattr(options, "json", False):
+            found = getattr(options, "findings", None)
+            told = {} if found is None else {"findings": found.as_json()}
+            write_json({"error": str(error), "exit_code": error.exit_code, **told})
         return error.exit_code
     except BrokenPipeError:  # the reader of our output went away, as `head` does
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 128 + signal.SIGPIPE
     except KeyboardInterrupt:
-        sys.stderr.write("interrupted: what was finished is in the lake, a rerun goes on from there\n")
-        _leave_now_if_busy(INTERRUPTED)
+        ended.set()
+        sys.stderr.write(FAREWELL)
+        leave_now_if_busy(INTERRUPTED)
         return INTERRUPTED
 
 
@@ -131,7 +136,9 @@ examples:
     )
     command.add_argument("cell", metavar="CELL.yaml", help="the cell file, or the name of a built-in example")
     _add_set(command)
-    command.add_argument("--seed", type=int, metavar="N", help="seed of all random numbers (planner.seed)")
+    command.add_argument(
+        "--seed", type=int, metavar="N", help="seed of samples, selection, roadmap and noise (planner.seed)"
+    )
     command.add_argument("--out", type=Path, metavar="DIR", help="write report, plan and figures into this folder")
     _add_run_options(command)
     command.set_defaults(run=_inspect)
@@ -178,7 +185,8 @@ def _add_lake(commands: Any) -> None:
                 "--keep-runs",
                 type=int,
                 metavar="N",
-                help="forget all recorded runs but the newest N first; none younger than a day",
+                help="first forget all recorded runs but the newest N that finished and the newest N that did not; "
+                "none younger than a day",
             )
         command.add_argument("--lake", metavar="DIR", help=_LAKE_HELP)
         command.add_argument("--json", action="store_true", help="print JSON")
@@ -189,6 +197,7 @@ _LAKE_HELP = "folder or address of the lake (default: $CELLWRIGHT_LAKE, else ./l
 
 _LAKE_COMMANDS = (
     ("ls", "", "list the artefacts, the newest last", "cellwright lake ls --json"),
+    ("runs", "", "list the runs, the newest last: finished, failed or interrupted", "cellwright lake runs"),
     ("show", "ref", "show one artefact: columns, units, facts, causes, files, origin", "cellwright lake show coverage"),
     ("lineage", "ref", "list everything an artefact was made from", "cellwright lake lineage trajectory"),
     (
@@ -255,7 +264,13 @@ def _inspect(options: argparse.Namespace) -> int:
     cell = find_cell_file(options.cell)
     overrides = [*options.overrides, *([] if options.seed is None else [f"planner.seed={options.seed}"])]
     load_cell_file(cell, overrides)  # a mistake in it shows before a server is started
-    return _run_flow("inspection", options, cell, overrides=overrides)
+
+    def explain(found: Findings) -> None:
+        options.findings = found
+        if not options.json:
+            found.show(stderr_console())
+
+    return _run_flow("inspection", options, cell, overrides=overrides, explain=explain)
 
 
 def _sweep(options: argparse.Namespace) -> int:
@@ -350,37 +365,6 @@ def _examples(options: argparse.Namespace) -> int:
         for name, path in examples().items():
             sys.stdout.write(f"{name}  {path}\n")
     return 0
-
-
-@contextlib.contextmanager
-def _stopping_at_interrupt() -> Iterator[None]:
-    """Stop in order at the first Ctrl-C, at once at the second."""
-
-    def interrupt(number: int, frame: FrameType | None) -> NoReturn:
-        signal.signal(signal.SIGINT, lambda number, frame: os._exit(INTERRUPTED))
-        if execution := sys.modules.get("flows.execution"):  # no stage runs where it is not even imported
-            execution.INTERRUPTED.set()
-        os.write(sys.stderr.fileno(), b"\nstopping; press Ctrl-C again to leave at once\n")
-        raise KeyboardInterrupt
-
-    if threading.current_thread() is not threading.main_thread():
-        yield  # only the main thread may say what signals do
-        return
-    if execution := sys.modules.get("flows.execution"):
-        execution.INTERRUPTED.clear()  # of an earlier command in this process
-    before = signal.signal(signal.SIGINT, interrupt)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
-
-
-def _leave_now_if_busy(code: int) -> None:
-    """Do not wait at exit for threads that are still in a kernel: the lake is whole at every moment."""
-    busy = [each for each in threading.enumerate() if each is not threading.main_thread() and not each.daemon]
-    if busy:
-        sys.stderr.flush()
-        os._exit(code)
 
 
 if __name__ == "__main__":

@@ -80,6 +80,9 @@ WATCHER: ContextVar[Watcher] = ContextVar("watcher", default=_UNWATCHED)
 REFRESHED: ContextVar[set[str] | None] = ContextVar("refreshed", default=None)
 """Keys that were made anew already, where several runs refresh the same stages: each is refreshed once."""
 
+RECORDER: ContextVar[Callable[[str, Stage, Outcome], None] | None] = ContextVar("recorder", default=None)
+"""Takes down each step's name, stage and outcome for the record of the run. Stays in this process like `WATCHER`."""
+
 INTERRUPTED = threading.Event()
 """Set when the person wants the command to stop: a stage in a thread ends at its next report of progress."""
 
@@ -213,9 +216,11 @@ def run_in_lake(
     except BaseException:
         watcher.failed(name)
         raise
-    seconds = time.monotonic() - asked
-    watcher.finished(name, cached=cached, seconds=seconds)
-    return Outcome(ref, cached, seconds)
+    outcome = Outcome(ref, cached, time.monotonic() - asked)
+    watcher.finished(name, cached=cached, seconds=outcome.seconds)
+    if (record := RECORDER.get()) is not None:
+        record(name, stage, outcome)
+    return outcome
 
 
 def run_patiently(run: Callable[[], Outcome]) -> Outcome:

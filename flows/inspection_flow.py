@@ -7,7 +7,8 @@ import base64
 from prefect import flow, runtime
 from prefect.artifacts import create_image_artifact, create_markdown_artifact, create_table_artifact
 
-from flows.inspection import plan_and_record
+from cellwright.errors import CellwrightError
+from flows.inspection import FINDINGS, plan_and_record
 from flows.inspection_result import InspectionResult
 from flows.requests import InspectionRequest
 from flows.runner import task_runner
@@ -17,7 +18,14 @@ from flows.runner import task_runner
 def inspect(request: InspectionRequest, lake: str, refresh: list[str] | None = None) -> InspectionResult:
     """Plan, verify and report a laser-scan inspection; every stage comes from the lake if it is there."""
     run_id = str(runtime.flow_run.id)
-    result = plan_and_record(request, lake, frozenset(refresh or ()), run_id=run_id, direct=False)
+    given = FINDINGS.get()
+    found = [] if given is None else given
+    try:
+        result = plan_and_record(request, lake, frozenset(refresh or ()), run_id=run_id, direct=False, found=found)
+    except CellwrightError:
+        for each in found:
+            create_markdown_artifact(each.as_markdown(), key="inspection-findings", description=request.name)
+        raise
     create_markdown_artifact(result.as_markdown(), key="inspection-summary", description=request.name)
     create_table_artifact(result.coverage_rows(), key="inspection-coverage", description="Coverage by cause")
     for name, picture in result.pictures().items():

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from flows.requests import InspectionRequest
-from flows.runner import Step, StepRecord
+from flows.run_record import StepRecord
+from flows.runner import Step
 from schemas.references import Ref
 from schemas.report import InspectionReport
 from storage.lake import Lake
@@ -54,10 +56,6 @@ class InspectionResult:
         seconds = {record.name: _computing_seconds(lake, record) for record in records}
         return cls(request.name, run_id, refs, records, seconds, json.loads(report.summary), report)
 
-    def computing_seconds(self) -> dict[str, float]:
-        """Return the seconds that each step took when it was computed, now or in an earlier run."""
-        return self.stage_seconds
-
     def as_json(self) -> Mapping[str, Any]:
         """Return the result as plain values."""
         return {
@@ -84,6 +82,8 @@ class InspectionResult:
             console.print(f"Points not measured, by cause: {', '.join(missed)}.", soft_wrap=True)
         for finding in self.summary["findings"]:
             console.print(f"Part: {finding}", soft_wrap=True)
+        for finding in self.summary["attention"]:
+            console.print(f"Attention: {finding}.", soft_wrap=True, markup=False)
         cached = sum(record.cached for record in self.records)
         console.print(f"Stages: {len(self.records) - cached} computed, {cached} from the lake.")
         for name, path in self.files.items():
@@ -104,8 +104,12 @@ class InspectionResult:
             ("median uncertainty", "–" if median is None else f"{1e6 * median:.1f} µm"),
             ("cycle time", f"{figures['duration_s']:.2f} s ({figures['scanning_s']:.2f} s scanning)"),
             *((f"order: {name}", f"{seconds:.2f} s") for name, seconds in figures["orders_s"].items()),
+            *([("no order takes less than", _order_words(figures))] if figures["order_lower_bound_s"] > 0.0 else []),
             ("scan points", f"{figures['scan_points']:,}"),
             ("verified states", f"{figures['verified_states']:,} by {figures['verified_by']}"),
+            ("least distance", _distance_words(figures)),
+            *(_overlap_row(overlap) for overlap in figures["overlaps"]),
+            *([("sweeps left out", f"{len(figures['left_out_sweeps'])}")] if figures["left_out_sweeps"] else []),
         ]
 
     def as_markdown(self) -> str:
@@ -125,6 +129,23 @@ class InspectionResult:
             "uncertainty": self.report.uncertainty_png,
             "plan": self.report.plan_png,
         }
+
+
+def _order_words(figures: Mapping[str, Any]) -> str:
+    proven = " (proven shortest)" if figures["order_proven_shortest"] else ""
+    return f"{figures['order_lower_bound_s']:.2f} s{proven}"
+
+
+def _overlap_row(overlap: Mapping[str, Any]) -> tuple[str, str]:
+    return " and ".join(overlap["bodies"]), f"in one another by at least {1e3 * overlap['depth_at_least_m']:.1f} mm"
+
+
+def _distance_words(figures: Mapping[str, Any]) -> str:
+    found, proven = figures["least_distance_m"], figures["proven_distance_m"]
+    if found is None:
+        return "–"
+    at_least = math.floor(1e5 * proven) / 100  # what is proven is rounded down
+    return f"{1e3 * found:.2f} mm (proven {at_least:.2f}), {' and '.join(figures['nearest']['bodies'])}"
 
 
 def _computing_seconds(lake: Lake, record: StepRecord) -> float:

@@ -35,6 +35,8 @@ def run(
     lake = Lake(url)
     if action == "ls":
         return _ls(lake, as_json)
+    if action == "runs":
+        return _runs(lake, as_json)
     if action == "show":
         return _show(lake, str(subject), as_json)
     if action == "lineage":
@@ -66,6 +68,34 @@ def _ls(lake: Lake, as_json: bool) -> int:
     return 0
 
 
+def _runs(lake: Lake, as_json: bool) -> int:
+    from flows.run_record import state_of
+
+    records = [{**record, "state": state_of(record)} for record in reversed(lake.runs())]
+    if as_json:
+        write_json(records)
+        return 0
+    if not records:
+        sys.stdout.write(f"no run is recorded in {lake.url}\n")
+        return 0
+    table = _table("run", "flow", "cell", "last heard of (UTC)", "state", "computed", "cached", "why")
+    for record in records:
+        steps = [step for step in record.get("steps", ()) if isinstance(step, dict)]
+        n_cached = sum(bool(step.get("cached")) for step in steps)
+        table.add_row(
+            str(record["run_id"]),
+            str(record.get("flow", "")),
+            str(record.get("cell", "")),
+            str(record["recorded_at"])[:19].replace("T", " "),
+            str(record["state"]),
+            str(len(steps) - n_cached),
+            str(n_cached),
+            str(record.get("error", "")),
+        )
+    print_table(table)
+    return 0
+
+
 def _show(lake: Lake, subject: str, as_json: bool) -> int:
     ref = lake.resolve(subject)
     manifest, artefact = lake.manifest(ref), lake.load(ref)
@@ -78,6 +108,7 @@ def _show(lake: Lake, subject: str, as_json: bool) -> int:
         "facts": _facts(artefact),
         "causes": _causes(artefact),
         "collisions": _collisions(artefact),
+        "findings": _findings(artefact),
         "files": lake.paths(ref),
     }
     if as_json:
@@ -108,6 +139,8 @@ def _show(lake: Lake, subject: str, as_json: bool) -> int:
         print_table(causes)
     for body, count in _collisions(artefact).items():
         sys.stdout.write(f"collision with {body}: {count}\n")
+    for finding in _findings(artefact):
+        sys.stdout.write(f"finding: {finding}\n")
     return 0
 
 
@@ -183,7 +216,8 @@ def _gc(lake: Lake, delete: bool, keep_runs: int | None, as_json: bool) -> int:
         sys.stdout.write("nothing was deleted: add --yes to delete it\n")
     if keep_runs is None and (n_runs := len(lake.runs())):
         sys.stdout.write(
-            f"recorded runs that keep what they used: {n_runs}; --keep-runs N forgets all but the newest N\n"
+            f"recorded runs that keep what they used: {n_runs}; --keep-runs N forgets all but the newest N that "
+            "finished and the newest N that did not\n"
         )
     return 0
 
@@ -257,6 +291,12 @@ def _collisions(artefact: Artefact) -> dict[str, int]:
     rows: list[int] = getattr(artefact, "blocked_by").tolist()  # noqa: B009
     counts = Counter(names[row] for row in rows if row >= 0)
     return dict(sorted(counts.items(), key=lambda item: (-item[1], item[0])))
+
+
+def _findings(artefact: Artefact) -> list[str]:
+    """Return what an artefact has to say in words: of a part's mesh, of overlaps, of sweeps that a plan leaves out."""
+    left_out = zip(getattr(artefact, "left_out_view", ()), getattr(artefact, "left_out_reason", ()))
+    return [*getattr(artefact, "finding", ()), *(f"view {view} is left out: {reason}" for view, reason in left_out)]
 
 
 def _table(*columns: str) -> Table:

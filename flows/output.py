@@ -28,6 +28,14 @@ def stdout_console() -> Console:
     return Console(width=width, markup=False, highlight=False, emoji=False)
 
 
+def stderr_console() -> Console:
+    """Return a console for standard error that takes text as it is."""
+    from rich.console import Console
+
+    width = None if sys.stderr.isatty() else _PIPE_WIDTH
+    return Console(file=sys.stderr, width=width, markup=False, highlight=False, emoji=False)
+
+
 def print_table(table: Table) -> None:
     """Print a table on standard output."""
     stdout_console().print(table)

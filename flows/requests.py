@@ -20,6 +20,7 @@ from schemas.scanner import SensingParams
 from tasks.assemble_cell import CellModelParams
 from tasks.extend_measurability import ExtensionParams
 from tasks.find_gaps import GapParams
+from tasks.find_overlaps import OverlapParams
 from tasks.follow_sweeps import SweepParams
 from tasks.measure_coverage import CoverageParams
 from tasks.measure_samples import MeasurabilityParams
@@ -56,6 +57,7 @@ class InspectionRequest(BaseModel):
     cell: CellModelParams
     mesh: MeshParams
     surroundings: SurroundingsParams = SurroundingsParams()
+    overlaps: OverlapParams = OverlapParams()
     samples: SurfaceParams
     refinement_cloud: SurfaceParams
     refinement_rounds: int = Field(default=3, ge=0, description="Most rounds of closing gaps between the samples.")
@@ -141,6 +143,7 @@ def _request(file: CellFile) -> InspectionRequest:
         cover=SetCoverParams(
             method=planner.selection.method,
             min_coverage=planner.selection.min_coverage,
+            max_work=planner.selection.max_work,
             node_limit=planner.selection.node_limit,
             time_limit_s=planner.selection.time_limit_s,
             seed=planner.seed,
@@ -150,6 +153,7 @@ def _request(file: CellFile) -> InspectionRequest:
         stitching=StitchParams(
             method=planner.stitching.method,
             exact_up_to=planner.stitching.exact_up_to,
+            max_connections=planner.stitching.max_connections,
             roadmap_nodes=planner.stitching.roadmap_nodes,
             neighbours=planner.stitching.neighbours,
             step_rad=planner.stitching.step_rad,
@@ -190,8 +194,11 @@ def _cell(file: CellFile) -> tuple[tuple[SourceParams, ...], CellModelParams]:
         housing=tuple(_body(body, sources) for body in file.scanner.housing),
         bodies=tuple(_body(body, sources) for body in file.bodies()),
         start_rad=file.robot.start_rad,
+        lower_rad=file.robot.lower_rad,
+        upper_rad=file.robot.upper_rad,
         max_velocity_rad_s=file.robot.max_velocity_rad_s,
         max_acceleration_rad_s2=file.robot.max_acceleration_rad_s2,
+        ignored_pairs=file.may_touch,
     )
     return tuple(sources.values()), params
 

@@ -16,11 +16,11 @@ from __future__ import annotations
 import contextlib
 import os
 from collections.abc import Callable, Collection, Iterator, Mapping
-from dataclasses import dataclass
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
 from flows.execution import (
+    RECORDER,
     WATCHER,
     Outcome,
     Unwatched,
@@ -32,6 +32,7 @@ from flows.execution import (
     stage_named,
     validated_params,
 )
+from flows.run_record import RunRecord, StepRecord
 from schemas.params import Params
 from schemas.references import Ref
 from schemas.stage import Stage
@@ -46,40 +47,6 @@ def task_runner() -> TaskRunner[Any]:
     from prefect.task_runners import ThreadPoolTaskRunner
 
     return ThreadPoolTaskRunner(max_workers=max(2, os.cpu_count() or 1))
-
-
-@dataclass(frozen=True, slots=True)
-class StepRecord:
-    """One step of a run for summaries and for the lake's run record.
-
-    Attributes:
-        name: The stage's name, with the step's label if it has one.
-        stage: The stage.
-        version: The stage's version.
-        ref: The artefact.
-        cached: Whether the lake had it.
-        seconds: Time from asking for it to having it; the waiting for its inputs is not in it.
-    """
-
-    name: str
-    stage: str
-    version: int
-    ref: Ref
-    cached: bool
-    seconds: float
-
-    def as_json(self) -> dict[str, str | int | float | bool]:
-        """Return the record as plain values, the reference spelled out."""
-        return {
-            "name": self.name,
-            "stage": self.stage,
-            "version": self.version,
-            "kind": self.ref.kind,
-            "key": self.ref.key,
-            "digest": self.ref.digest,
-            "cached": self.cached,
-            "seconds": round(self.seconds, 6),
-        }
 
 
 class Step:
@@ -125,9 +92,13 @@ class Steps:
         refresh: Names of stages to compute although the lake has them.
         watcher: Hears of starts, progress and ends, in this process.
         direct: Call the stages one after the other in this thread, without Prefect.
+        run_id: Id under which the run is written down in the lake, from its first moment to its last, so that what
+            it used is kept when the lake is swept, however it ends; not written down if empty.
+        facts: What else its record says.
 
     Raises:
         InvalidInputError: If ``refresh`` names a stage that does not exist.
+        LakeError: If the lake cannot be written.
     """
 
     def __init__(
@@ -137,24 +108,47 @@ class Steps:
         refresh: Collection[str] = frozenset(),
         watcher: Watcher | None = None,
         direct: bool = False,
+        run_id: str = "",
+        facts: Mapping[str, Any] | None = None,
     ) -> None:
         for name in refresh:
             stage_named(name)
         self._lake_url = lake_url
         self._refresh = frozenset(refresh)
-        self._clock = _StopWatch(watcher or Unwatched())
+        self._watcher = _Failures(watcher or Unwatched())
         self._direct = direct
+        self._run_id = run_id
+        self._record = RunRecord(open_lake(lake_url) if run_id else None, run_id, facts or {})
         self._steps: dict[str, Step] = {}
 
     def __enter__(self) -> Self:
+        self._record.begin()
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         if error is None:
-            for step in self._steps.values():
-                step.ref()
+            try:
+                records = self.records()
+            except BaseException as failure:
+                self._record.fail(failure, self.failed())
+                raise
+            self._record.finish(records)
+        else:
+            self._record.fail(error, self.failed())
+
+    def named(self, name: str) -> Step | None:
+        """Return a step of this run by its name, ``None`` if it was not started."""
+        return self._steps.get(name)
+
+    def failed(self) -> str:
+        """Return the name of the first step that failed, empty if none has."""
+        return self._watcher.first
+
+    def done(self) -> list[StepRecord]:
+        """Return what is known to have ended well so far, whatever became of the rest."""
+        return self._record.steps()
 
     def __call__(self, stage: Stage, params: Params | Mapping[str, Any], /, *, label: str = "", **inputs: Any) -> Step:
         """Start a stage on its inputs: steps, references, tuples of them, or ``None`` where it allows that.
@@ -175,12 +169,14 @@ class Steps:
         upstream = tuple(one for given in inputs.values() for one in _members(given) if isinstance(one, Step))
         step = Step(stage, self._free_name(stage, label), upstream)
         refresh = stage.name in self._refresh
-        with self._clock.listening():
+        with self._listening():
             if self._direct:
                 ready = {name: _each(given, _ready) for name, given in inputs.items()}
                 lake = open_lake(self._lake_url)
                 step._outcome = run_patiently(
-                    lambda: run_in_lake(stage, lake, checked, ready, name=step.name, refresh=refresh)
+                    lambda: run_in_lake(
+                        stage, lake, checked, ready, name=step.name, refresh=refresh, run_id=self._run_id
+                    )
                 )
             else:
                 from flows.stage_task import task_for
@@ -199,21 +195,21 @@ class Steps:
         Raises:
             CellwrightError: The error of the first step that failed.
         """
-        return [self._record(step) for step in self._steps.values()]
+        return [self._ended(step) for step in self._steps.values()]
 
-    def record_run(self, run_id: str, **facts: Any) -> None:
-        """Write down in the lake what this run used, so that it is kept when the lake is swept.
-
-        Raises:
-            LakeError: If the lake cannot be written.
-        """
-        steps = [record.as_json() for record in self.records()]
-        open_lake(self._lake_url).record_run(run_id, {**facts, "steps": steps})
-
-    def _record(self, step: Step) -> StepRecord:
+    def _ended(self, step: Step) -> StepRecord:
         ref = step.ref()
-        cached, seconds = self._clock.ended[step.name]
-        return StepRecord(step.name, step.stage.name, step.stage.version, ref, cached, seconds)
+        # a step that ran in another process is not heard of here: its reference is all that is known
+        return self._record.of(step.name) or StepRecord(step.name, step.stage.name, step.stage.version, ref, False, 0.0)
+
+    @contextlib.contextmanager
+    def _listening(self) -> Iterator[None]:
+        watching, recording = WATCHER.set(self._watcher), RECORDER.set(self._record.add)
+        try:
+            yield
+        finally:
+            RECORDER.reset(recording)
+            WATCHER.reset(watching)
 
     def _free_name(self, stage: Stage, label: str) -> str:
         wanted = f"{stage.name} {label}".strip()
@@ -224,20 +220,12 @@ class Steps:
         return name
 
 
-class _StopWatch:
-    """Passes everything on to the run's own watcher and keeps how each step ended."""
+class _Failures:
+    """Passes everything on to the run's own watcher and keeps which step failed first."""
 
     def __init__(self, watcher: Watcher) -> None:
         self._watcher = watcher
-        self.ended: dict[str, tuple[bool, float]] = {}
-
-    @contextlib.contextmanager
-    def listening(self) -> Iterator[None]:
-        token = WATCHER.set(self)
-        try:
-            yield
-        finally:
-            WATCHER.reset(token)
+        self.first = ""
 
     def started(self, name: str) -> None:
         self._watcher.started(name)
@@ -246,10 +234,10 @@ class _StopWatch:
         self._watcher.advanced(name, share)
 
     def finished(self, name: str, *, cached: bool, seconds: float) -> None:
-        self.ended[name] = (cached, seconds)
         self._watcher.finished(name, cached=cached, seconds=seconds)
 
     def failed(self, name: str) -> None:
+        self.first = self.first or name
         self._watcher.failed(name)
 
 

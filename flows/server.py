@@ -115,8 +115,11 @@ def connected(say: Say) -> Iterator[str]:
         ServerError: If no server can be started or reached, or it goes away meanwhile.
     """
     prepare_environment()
-    _make_home(state_home())  # Prefect warns if it cannot make its own folder, also when the server is elsewhere
-    url = start(say).api_url
+    try:
+        _make_home(state_home())  # Prefect warns if it cannot make its own folder, also when the server is elsewhere
+        url = start(say).api_url
+    except ServerError as error:
+        raise ServerError(f"{error}; or run without a server: --direct") from error
     import httpx
     from prefect.events.worker import EventsWorker
     from prefect.logging.handlers import APILogWorker
@@ -152,7 +155,8 @@ def _require_answer(url: str) -> None:
     with get_client(sync_client=True) as client:
         if (fault := client.api_healthcheck()) is not None:
             raise ServerError(
-                f"the Prefect server at {url} does not answer ({fault}): start it or unset PREFECT_API_URL"
+                f"the Prefect server at {url} does not answer ({fault}): start it or unset PREFECT_API_URL; or run "
+                "without a server: --direct"
             ) from fault
 
 

@@ -131,7 +131,7 @@ def _row(
     except (InfeasibleError, SolverError) as error:
         return {**row, "error": str(error)}
     figures = {name: value for name, value in result.summary.items() if name in METRICS or isinstance(value, str)}
-    seconds = result.computing_seconds()
+    seconds = result.stage_seconds
     planning = sum(spent for name, spent in seconds.items() if inspection.is_planning(name))
     return {**row, **figures, "planning_s": planning, **{f"{name} [s]": spent for name, spent in seconds.items()}}
 

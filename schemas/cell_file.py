@@ -15,6 +15,8 @@ import numpy as np
 from pydantic import BeforeValidator, Field, PrivateAttr, ValidationError, ValidationInfo, model_validator
 
 from cellwright.arrays import FloatArray
+from cellwright.cell.built_in_robots import BUILT_IN
+from cellwright.cell.cell import PART
 from schemas.cell_file_document import Document, Location, apply_overrides, read_document
 from schemas.cell_file_fields import (
     Angle,
@@ -47,10 +49,7 @@ from schemas.scanner import ScannerParams
 FORMAT = 1
 """The version of the cell file that this release reads and writes."""
 
-PART = "part"
-"""Name of the workpiece among the bodies."""
-
-BUILT_IN_ROBOTS = {"ur10e": 6}
+BUILT_IN_ROBOTS = {robot.name: len(robot.joint_names) for robot in BUILT_IN}
 """Robots that need no URDF, with their number of joints."""
 
 
@@ -73,7 +72,8 @@ class RobotSection(Section):
     """The arm and where it stands."""
 
     model: Annotated[str, BeforeValidator(_robot_model)] = Field(
-        default="ur10e", description="A built-in robot (ur10e) or the path of a URDF file."
+        default="ur10e",
+        description=f"A built-in robot ({', '.join(BUILT_IN_ROBOTS)}) or the path of a URDF file.",
     )
     base: PoseSection = Field(default=PoseSection(), description="Pose of the base link in the world.")
     base_link: Text | None = Field(default=None, description="URDF link at the base; the root link if left out.")
@@ -88,6 +88,12 @@ class RobotSection(Section):
         default=None,
         alias="max_acceleration",
         description="Joint acceleration limits, one or one a joint; the robot's own.",
+    )
+    lower_rad: Annotated[tuple[Angle, ...], BeforeValidator(_one_or_each)] | None = Field(
+        default=None, alias="lower", description="Lower joint limits, one or one a joint; the robot's own."
+    )
+    upper_rad: Annotated[tuple[Angle, ...], BeforeValidator(_one_or_each)] | None = Field(
+        default=None, alias="upper", description="Upper joint limits, one or one a joint; the robot's own."
     )
     packages: dict[str, Folder] = Field(
         default={}, description="Folders of the packages that the URDF names as `package://`."
@@ -234,6 +240,9 @@ class CellFile(Section):
     table: TableSection | None = Field(default=None, description="The table.")
     fixture: tuple[BodySection, ...] = Field(default=(), description="Bodies that hold the part.")
     obstacles: tuple[BodySection, ...] = Field(default=(), description="Everything else that stands in the way.")
+    may_touch: tuple[tuple[Text, Text], ...] = Field(
+        default=(), description="Pairs of bodies or links, by name, that may touch each other."
+    )
     planner: PlannerSection = Field(default=PlannerSection(), description="How the planner works.")
 
     @property
@@ -287,6 +296,8 @@ def _disagreements(cell: CellFile, document: Document) -> list[tuple[Location, s
     n_joints = BUILT_IN_ROBOTS.get(cell.robot.model)
     for key, values, may_be_one in (
         ("start", cell.robot.start_rad, False),
+        ("lower", cell.robot.lower_rad, True),
+        ("upper", cell.robot.upper_rad, True),
         ("max_velocity", cell.robot.max_velocity_rad_s, True),
         ("max_acceleration", cell.robot.max_acceleration_rad_s2, True),
     ):

@@ -148,21 +148,35 @@ class SelectionSection(Section):
 
     min_coverage: Share = Field(default=1.0, description="Share of the coverable samples to measure.")
     method: Literal["best", "greedy", "exact"] = Field(
-        default="best", description="The better of both within the limits, the paper's greedy, or the integer program."
+        default="best",
+        description="Own search with branch and bound, the paper's greedy, or the integer program by HiGHS.",
+    )
+    max_work: Factor = Field(
+        default=6e9, description="Work of `best`: matrix entries visited, about a nanosecond each."
     )
     node_limit: WholeNumber | None = Field(
-        default=None, ge=1, description="Most nodes of the exact search; unlimited if left out."
+        default=None,
+        ge=1,
+        description="Most nodes of branch and bound; if left out `exact` takes 1000, or its time limit.",
     )
-    time_limit_s: Duration = Field(default=20.0, alias="time_limit", description="Time limit of the exact search.")
+    time_limit_s: Duration | None = Field(
+        default=None,
+        alias="time_limit",
+        description="Time limit of `exact` alone; where it strikes, the result is the machine's.",
+    )
 
 
 class StitchingSection(Section):
     """In which order, and how, are the sweeps connected?"""
 
     method: Literal["best", "greedy", "exact"] = Field(
-        default="best", description="Order: the better of both, nearest next as in the paper, or dynamic programming."
+        default="best",
+        description="Order: the best found, nearest next as in the paper, or proven shortest else an error.",
     )
     exact_up_to: WholeNumber = Field(default=15, ge=1, le=18, description="Most sweeps for the exact order.")
+    max_connections: WholeNumber = Field(
+        default=1000, ge=1, description="Connections that the search for the best order may evaluate."
+    )
     roadmap_nodes: WholeNumber = Field(default=1000, ge=0, le=100_000, description="Configurations in the roadmap.")
     neighbours: WholeNumber = Field(default=12, ge=1, le=200, description="Roadmap neighbours of a configuration.")
     max_alternatives: WholeNumber = Field(
@@ -196,7 +210,9 @@ class ReportSection(Section):
 class PlannerSection(Section):
     """All settings of the planner."""
 
-    seed: WholeNumber = Field(default=0, ge=0, le=2**63 - 1, description="Seed of all random numbers.")
+    seed: WholeNumber = Field(
+        default=0, ge=0, le=2**63 - 1, description="Seed of samples and clouds, selection, roadmap and noise."
+    )
     sampling: SamplingSection = Field(default=SamplingSection(), description="Where the surface is sampled.")
     refinement: RefinementSection = Field(default=RefinementSection(), description="How gaps are closed.")
     verification_cloud: VerificationCloudSection = Field(

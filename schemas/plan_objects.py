@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -15,7 +16,7 @@ from schemas.views import Reachability, Viewpoints, ViewSelection
 
 if TYPE_CHECKING:
     from cellwright.solvers.plan_verification import TimedPlan
-    from cellwright.solvers.stitching import StitchedPlan
+    from cellwright.solvers.stitched_plan import StitchedPlan
 
 SAME_TRAVEL = 1e-9
 """Metres within which two travels are one."""
@@ -64,11 +65,16 @@ def planned_sweeps(
     return sweeps
 
 
-def trajectory_of(plan: StitchedPlan, selection: ViewSelection) -> Trajectory:
-    """Return the artefact of a stitched plan.
+def trajectory_of(plan: StitchedPlan, selection: ViewSelection, earlier: Trajectory | None = None) -> Trajectory:
+    """Return the artefact of a stitched plan, with what it and ``earlier`` trajectories leave out.
 
     Times rise strictly: the state at which a connection and a sweep meet is stored once, as one of the sweep.
     """
+    left_out = {} if earlier is None else dict(zip(earlier.left_out_view.tolist(), earlier.left_out_reason))
+    left_out = {view: reason for view, reason in left_out.items() if view not in selection.view}
+    left_out |= {int(selection.view[sweep.sweep]): sweep.reason for sweep in plan.left_out}
+    if not plan.segments:
+        return _motionless(plan, left_out)
     rows: dict[str, list[FloatArray]] = {name: [] for name in ("time", "q", "v", "a", "segment", "travel")}
     bounds = [0.0]
     for number, segment in enumerate(plan.segments):
@@ -103,6 +109,56 @@ def trajectory_of(plan: StitchedPlan, selection: ViewSelection) -> Trajectory:
         order_method=tuple(plan.durations),
         order_duration_s=np.array(list(plan.durations.values())),
         order_chosen=np.array([name == plan.chosen for name in plan.durations]),
+        **_left_out_columns(left_out),
+        order_lower_bound_s=plan.lower_bound,
+        order_proven=plan.proven,
+    )
+
+
+def _motionless(plan: StitchedPlan, left_out: dict[int, str]) -> Trajectory:
+    """Return the trajectory of a plan that executes no sweep: no state, no segment."""
+    none, whole = np.zeros(0), np.zeros(0, np.int32)
+    rest = np.zeros((0, plan.n_joints))
+    return Trajectory(
+        time_s=none,
+        position_rad=rest,
+        velocity_rad_s=rest,
+        acceleration_rad_s2=rest,
+        segment=whole,
+        travel_m=none,
+        kind=(),
+        view=whole,
+        branch=np.zeros(0, np.int8),
+        direction=np.zeros(0, np.int8),
+        start_s=none,
+        end_s=none,
+        via=(),
+        order_method=(),
+        order_duration_s=none,
+        order_chosen=np.zeros(0, bool),
+        **_left_out_columns(left_out),
+        order_lower_bound_s=0.0,
+        order_proven=False,
+    )
+
+
+def _left_out_columns(left_out: dict[int, str]) -> dict[str, Any]:
+    views = sorted(left_out)
+    return {
+        "left_out_view": np.array(views, np.int32),
+        "left_out_reason": tuple(left_out[view] for view in views),
+    }
+
+
+def executed_views(selection: ViewSelection, trajectory: Trajectory) -> ViewSelection:
+    """Return the selection without the views that the trajectory leaves out."""
+    kept = ~np.isin(selection.view, trajectory.left_out_view)
+    return replace(
+        selection,
+        view=selection.view[kept],
+        n_samples=selection.n_samples[kept],
+        n_only=selection.n_only[kept],
+        max_uncertainty_m=selection.max_uncertainty_m[kept],
     )
 
 

@@ -7,15 +7,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cellwright.arrays import BoolArray, FloatArray
-from cellwright.cell.bodies import BASE
 from cellwright.cell.transforms import pose, rotation_from_quaternion
 from cellwright.errors import InvalidInputError
 from schemas.part import SurfaceSamples
 from schemas.views import Measurability, Reachability, Viewpoints
 
 if TYPE_CHECKING:
-    from cellwright.cell.cell import Cell
-    from cellwright.cell.scene import Scene
     from cellwright.solvers.sweep_following import FollowedSweeps
     from cellwright.solvers.sweep_poses import CandidateSweeps
 
@@ -66,7 +63,7 @@ def sweeps_to_follow(viewpoints: Viewpoints, measurability: Measurability, T_wor
     Raises:
         InvalidInputError: If the two artefacts do not belong together.
     """
-    from cellwright.solvers.sweep_poses import CandidateSweeps
+    from cellwright.solvers.sweep_poses import CandidateSweeps, sort_within
 
     check_belong(viewpoints, measurability)
     R = rotation_from_quaternion(viewpoints.quaternion)
@@ -82,22 +79,17 @@ def sweeps_to_follow(viewpoints: Viewpoints, measurability: Measurability, T_wor
     unsure = np.intersect1d(useful, measurability.view[~sure])
     view = np.concatenate([measurability.view[sure], unsure, unsure])
     travel = np.concatenate([travel[sure], measurability.start_m[unsure], measurability.end_m[unsure]])
-    order = np.lexsort((travel, view))
+    if np.any(view[1:] < view[:-1]):
+        order = np.argsort(view, kind="stable")
+        view, travel = view[order], travel[order]
+    sort_within(np.searchsorted(view, np.arange(len(viewpoints.sample) + 1)), travel)
     return CandidateSweeps(
         T_world_part @ pose(viewpoints.position_m, R),
         measurability.start_m,
         measurability.end_m,
-        view[order].astype(np.int32),
-        travel[order],
+        view.astype(np.int32),
+        travel,
     )
-
-
-def standing_pair(scene: Scene, cell: Cell) -> tuple[str, str] | None:
-    """Return the names of two bodies that stand still and collide whatever the arm does, or None."""
-    for a, b in scene.colliding_pairs(cell.start):
-        if cell.bodies[a].parent <= BASE and cell.bodies[b].parent <= BASE:
-            return cell.bodies[a].name, cell.bodies[b].name
-    return None
 
 
 def reachability_of(followed: FollowedSweeps, body: tuple[str, ...]) -> Reachability:

@@ -4,6 +4,9 @@ The view of table ``views`` of kind ``viewpoints`` is ``viewpoints_views``: all 
 manifest commits, one below the other, with the column ``digest`` in front. Dashes become underscores; the facts are
 the table ``facts``. Beside them stand ``manifests``, ``inputs`` (one row an input), ``runs`` and ``fields`` (unit,
 frame and meaning of every column). Only what a statement names is opened.
+
+Statements read, nothing else: what could write, attach or set is refused by its kind before it runs, and DuckDB is
+locked to the files that the views name.
 """
 
 from __future__ import annotations
@@ -24,7 +27,8 @@ from storage.places import ObjectStore
 if TYPE_CHECKING:
     from storage.lake import Lake
 
-_ALL = re.compile(r"\b(show|summarize|information_schema|duckdb_\w+|pragma)\b", re.IGNORECASE)
+_ALL = re.compile(r"\b(show|summarize|information_schema|duckdb_\w+|pragma\w*)\b", re.IGNORECASE)
+_EXPLAIN = re.compile(r"\s*explain(\s+analyze\b|\s*\([^()]*\))?", re.IGNORECASE)
 
 _MANIFESTS = pa.schema(
     [
@@ -50,7 +54,8 @@ def query(lake: Lake, sql: str) -> Any:
     """Answer SQL with a ``pyarrow.Table``; an empty one for a statement without an answer.
 
     Raises:
-        InvalidInputError: If DuckDB cannot understand or answer the statement; its message says where.
+        InvalidInputError: If DuckDB cannot understand or answer the statement; its message says where. If it is
+            not one that reads.
         LakeError: If the lake cannot be read.
     """
     manifests = sorted(lake.manifests(), key=lambda manifest: manifest.key)
@@ -58,7 +63,8 @@ def query(lake: Lake, sql: str) -> Any:
         if isinstance(lake.place, ObjectStore):
             connection.register_filesystem(lake.place.file_system)
         try:
-            _offer(connection, lake, manifests, sql)
+            _require_reading(connection, sql)
+            _lock(connection, lake, _offer(connection, lake, manifests, sql))
             answer: Any = connection.sql(sql)
             return pa.table({}) if answer is None else answer.to_arrow_table()
         except duckdb.IOException as error:
@@ -69,12 +75,37 @@ def query(lake: Lake, sql: str) -> Any:
             raise InvalidInputError(f"SQL: {error}; tables: {', '.join(names(manifests))}") from error
 
 
+def _require_reading(connection: Any, sql: str) -> None:
+    """Refuse statements that could change anything; EXPLAIN ANALYZE runs what it explains."""
+    for statement in connection.extract_statements(sql):
+        kind, text = statement.type, statement.query
+        if kind == duckdb.StatementType.EXPLAIN and (head := _EXPLAIN.match(text)) is not None:
+            kind = connection.extract_statements(text[head.end() :])[0].type
+        if kind != duckdb.StatementType.SELECT:
+            raise InvalidInputError(
+                f"SQL: a lake is only read here, but this is a statement of the kind {kind.name}: write SELECT, FROM, "
+                "WITH, SHOW, DESCRIBE, SUMMARIZE or EXPLAIN, and save the answer with --json"
+            )
+
+
+def _lock(connection: Any, lake: Lake, addresses: list[str]) -> None:
+    """Let the connection open these files and no others of this machine, and keep it so."""
+    if isinstance(lake.place, ObjectStore):  # whose addresses DuckDB's list of permitted paths does not know
+        connection.execute("SET disabled_filesystems = 'LocalFileSystem'")
+    else:
+        connection.execute(f"SET allowed_paths = [{', '.join(map(_quoted, addresses))}]")
+        connection.execute("SET enable_external_access = false")
+    connection.execute("SET lock_configuration = true")
+
+
 def names(manifests: list[Manifest]) -> list[str]:
     """Return the names of all tables and views over these manifests."""
     return ["manifests", "inputs", "runs", "fields", *sorted(_tables(manifests))]
 
 
-def _offer(connection: Any, lake: Lake, manifests: list[Manifest], sql: str) -> None:
+def _offer(connection: Any, lake: Lake, manifests: list[Manifest], sql: str) -> list[str]:
+    """Register what the statement names; returns the addresses of the files behind it."""
+    opened: list[str] = []
     everything = _ALL.search(sql) is not None
     words = {word.lower() for word in re.findall(r"\w+", sql)}
 
@@ -93,12 +124,14 @@ def _offer(connection: Any, lake: Lake, manifests: list[Manifest], sql: str) -> 
         connection.register("fields", _fields(manifests))
     for name, paths in _tables(manifests).items():
         if wanted(name):
+            opened += [lake.place.address(path) for path in paths]
             files = ", ".join(_quoted(lake.place.address(path)) for path in paths)
             connection.execute(
                 f"CREATE VIEW {name} AS SELECT regexp_extract(path_of_row, '([0-9a-f]{{64}})[^0-9a-f/]*/[^/]*$', 1) "
                 f"AS digest, * EXCLUDE (path_of_row) "
                 f"FROM read_parquet([{files}], filename = 'path_of_row', union_by_name = true)"
             )
+    return opened
 
 
 def _tables(manifests: list[Manifest]) -> dict[str, list[str]]:

@@ -163,7 +163,8 @@ def sweep(
         lake: The lake.
         older_than_s: Least age of what goes, in seconds; a day or more.
         dry_run: Say what would go, remove nothing.
-        keep_runs: Forget all recorded runs but the newest so many, where they are old enough; ``None``: forget none.
+        keep_runs: Forget all recorded runs but the newest so many that finished and the newest so many that did not,
+            where they are old enough; ``None``: forget none.
         now_s: The present, seconds since 1970; the clock's by default.
 
     Raises:
@@ -232,8 +233,13 @@ class _Broom:
 
 
 def _forget_runs(lake: Lake, keep_runs: int, broom: _Broom) -> None:
+    """Forget old runs; those that failed never push a finished one out, and are not kept for ever themselves."""
     states = lake.place.walk("runs")
-    paths = [_run_path(record) for record in lake.runs()[keep_runs:]]
+    records = lake.runs()
+    finished = [record for record in records if record.get("state", "finished") == "finished"]
+    others = [record for record in records if record.get("state", "finished") != "finished"]
+    kept = {_run_path(record) for record in (*finished[:keep_runs], *others[:keep_runs])}
+    paths = [path for path in map(_run_path, records) if path not in kept]
     broom.take({path: states[path] for path in paths if path in states})
 
 
@@ -273,6 +279,7 @@ def _key(path: str) -> str:
 def _reached(lake: Lake, manifests: list[Manifest], broom: _Broom) -> tuple[set[str] | None, list[str]]:
     """Return the keys that a recorded run reaches, itself or through lineage, and what is in the way.
 
+    A run also reaches what it made: a process killed right after it published has not recorded that yet.
     ``None`` if no run is recorded, or a record cannot be read: then every manifest stays.
     """
     states = lake.place.walk("runs")
@@ -289,7 +296,9 @@ def _reached(lake: Lake, manifests: list[Manifest], broom: _Broom) -> tuple[set[
         makers.setdefault(manifest.digest, []).append(manifest)
         makers.setdefault(manifest.key, []).append(manifest)
     reached: set[str] = set()
+    ids = {str(record.get("run_id")) for record in runs}
     open_hashes = [text for record in runs for text in _hashes(record)]
+    open_hashes += [manifest.key for manifest in manifests if (lake.provenance(manifest.key) or {}).get("run") in ids]
     while open_hashes:
         for manifest in makers.get(open_hashes.pop(), []):
             if manifest.key not in reached:

@@ -6,8 +6,11 @@ from types import MappingProxyType
 
 from schemas.stage import Stage
 from tasks.assemble_cell import assemble_cell
+from tasks.explain_samples import explain_samples
 from tasks.extend_measurability import extend_measurability
 from tasks.find_gaps import find_gaps
+from tasks.find_overlaps import find_overlaps
+from tasks.fit_spheres import fit_spheres
 from tasks.follow_sweeps import follow_sweeps
 from tasks.measure_coverage import measure_coverage
 from tasks.measure_samples import measure_samples
@@ -29,6 +32,7 @@ _ALL: tuple[Stage, ...] = (
     assemble_cell,
     preprocess_mesh,
     place_surroundings,
+    find_overlaps,
     sample_surface,
     sample_viewpoints,
     measure_samples,
@@ -43,6 +47,8 @@ _ALL: tuple[Stage, ...] = (
     measure_coverage,
     record_plan,
     write_report,
+    explain_samples,
+    fit_spheres,
 )
 
 STAGES = MappingProxyType({stage.name: stage for stage in _ALL})
@@ -51,8 +57,11 @@ STAGES = MappingProxyType({stage.name: stage for stage in _ALL})
 __all__ = [
     "STAGES",
     "assemble_cell",
+    "explain_samples",
     "extend_measurability",
     "find_gaps",
+    "find_overlaps",
+    "fit_spheres",
     "follow_sweeps",
     "measure_coverage",
     "measure_samples",

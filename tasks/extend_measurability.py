@@ -7,7 +7,7 @@ import numpy as np
 from cellwright.errors import InvalidInputError
 from schemas.part import PartMesh, SurfaceSamples, Surroundings
 from schemas.scanner import SensingParams
-from schemas.stage import stage
+from schemas.stage import Progress, no_progress, stage
 from schemas.views import CoverageGaps, Measurability, Reachability, Viewpoints
 
 
@@ -26,6 +26,7 @@ def extend_measurability(
     reachability: Reachability,
     *,
     params: ExtensionParams,
+    progress: Progress = no_progress,
 ) -> Measurability:
     """Return ``measurability`` with gap ``i`` as sample ``n + i``, ``n`` the samples that it has so far.
 
@@ -57,6 +58,7 @@ def extend_measurability(
         cloud.points_m[gaps.point],
         cloud.normals[gaps.point],
         piece_sweeps(viewpoints, reachability, rows),
+        progress=progress,
     )
     view = np.concatenate([measurability.view, reachability.view[rows][found.sweep]])
     sample = np.concatenate([measurability.sample, found.point + np.int32(n_samples)])

@@ -10,7 +10,7 @@ import numpy as np
 
 from schemas.part import PartMesh, SurfaceSamples, Surroundings
 from schemas.scanner import SensingParams
-from schemas.stage import stage
+from schemas.stage import Progress, no_progress, stage
 from schemas.views import CoverageGaps, Reachability, Viewpoints, ViewSelection
 
 
@@ -29,6 +29,7 @@ def find_gaps(
     earlier: tuple[CoverageGaps, ...],
     *,
     params: GapParams,
+    progress: Progress = no_progress,
 ) -> CoverageGaps:
     """Return the points of the cloud that the best pieces of the selected views miss and some best piece measures.
 
@@ -43,11 +44,25 @@ def find_gaps(
     scanner, occluder = params.scanner.scanner(), occluder_of(mesh, surroundings)
     points, normals = cloud.points_m, cloud.normals
     selected = piece_sweeps(viewpoints, reachability, best_pieces(reachability, selection.view))
-    seen = measured_by_any(scanner, params.max_uncertainty_m, occluder, points, normals, selected)
+    seen = measured_by_any(
+        scanner,
+        params.max_uncertainty_m,
+        occluder,
+        points,
+        normals,
+        selected,
+        progress=lambda share: progress(0.5 * share),
+    )
     missed = np.flatnonzero(~seen)
     candidates = piece_sweeps(viewpoints, reachability, best_pieces(reachability))
     coverable = measured_by_any(
-        scanner, params.max_uncertainty_m, occluder, points[missed], normals[missed], candidates
+        scanner,
+        params.max_uncertainty_m,
+        occluder,
+        points[missed],
+        normals[missed],
+        candidates,
+        progress=lambda share: progress(0.5 + 0.5 * share),
     )
     known = np.concatenate([np.empty(0, np.int32), *(gaps.point for gaps in earlier)])
     return CoverageGaps(

@@ -9,10 +9,10 @@ from pydantic import Field
 
 from cellwright.causes import Cause
 from cellwright.errors import InvalidInputError
-from schemas.motion import ScanCloud
+from schemas.motion import ScanCloud, Trajectory
 from schemas.part import PartMesh, SurfaceSamples, Surroundings
 from schemas.scanner import SensingParams
-from schemas.stage import stage
+from schemas.stage import Progress, no_progress, stage
 from schemas.views import Coverage, Reachability, Viewpoints, ViewSelection
 
 if TYPE_CHECKING:
@@ -34,12 +34,15 @@ def measure_coverage(
     viewpoints: Viewpoints,
     reachability: Reachability,
     selection: ViewSelection,
+    trajectory: Trajectory | None = None,
     *,
     params: CoverageParams,
+    progress: Progress = no_progress,
 ) -> Coverage:
     """Return which points of the cloud the scan measured; all pieces of all candidates are asked about the others.
 
-    The share of the coverable is 0 if no candidate can measure anything.
+    A view that the ``trajectory`` leaves out is no candidate: what only such views measure cannot be measured. The
+    share of the coverable is 0 if no candidate can measure anything.
 
     Raises:
         InvalidInputError: If the artefacts do not belong together.
@@ -64,6 +67,10 @@ def measure_coverage(
     missed = np.flatnonzero(np.isnan(uncertainty))
     selected = np.zeros(n_views, bool)
     selected[selection.view] = True
+    left_out = np.zeros(n_views, bool)
+    if trajectory is not None:
+        left_out[trajectory.left_out_view] = True
+    kept = ~left_out[reachability.view]
     misses = explain_misses(
         params.scanner.scanner(),
         params.max_uncertainty_m,
@@ -72,13 +79,14 @@ def measure_coverage(
         cloud.normals[missed],
         CandidatePieces(
             sweeps=candidate_sweeps(viewpoints),
-            view=reachability.view,
-            start=reachability.start_m,
-            end=reachability.end_m,
-            outcome=reachability.outcome,
+            view=reachability.view[kept],
+            start=reachability.start_m[kept],
+            end=reachability.end_m[kept],
+            outcome=np.where(left_out, np.int8(Cause.NOT_CONNECTED), reachability.outcome),
             blocked_by=reachability.blocked_by,
-            selected=selected,
+            selected=selected & ~left_out,
         ),
+        progress=progress,
     )
     n_points = len(uncertainty)
     coverable, cause = np.ones(n_points, bool), np.full(n_points, Cause.NONE, np.int8)

@@ -17,7 +17,7 @@ from schemas.part import PartMesh, Surroundings
 from schemas.poses import Pose
 from schemas.scanner import SensingParams
 from schemas.sources import CellModel
-from schemas.stage import stage
+from schemas.stage import Progress, no_progress, stage
 
 _MOST_RAYS = 20_000_000
 """More need over 2 GB while they are kept."""
@@ -35,7 +35,13 @@ class ScanParams(SensingParams):
 
 @stage(version=1)
 def simulate_scan(
-    cell: CellModel, mesh: PartMesh, surroundings: Surroundings, trajectory: Trajectory, *, params: ScanParams
+    cell: CellModel,
+    mesh: PartMesh,
+    surroundings: Surroundings,
+    trajectory: Trajectory,
+    *,
+    params: ScanParams,
+    progress: Progress = no_progress,
 ) -> ScanCloud:
     """Return what the scanner measures along the trajectory, in the frame `part`.
 
@@ -73,6 +79,7 @@ def simulate_scan(
         T_part_scanner[:, :3, 3],
         T_part_scanner[:, :3, :3],
         rng=np.random.default_rng(params.seed) if params.noise else None,
+        progress=progress,
     )
     return ScanCloud(
         points_m=found.points.astype(np.float32),
@@ -92,5 +99,5 @@ def _check_number_of_rays(scanner: Scanner, scanning_s: float) -> None:
         raise InvalidInputError(
             f"{scanner.points_per_profile} points a profile at {scanner.profile_rate:g} Hz in {scanning_s:.1f} s of "
             f"scanning are {n_rays:.3g} points but at most {_MOST_RAYS:.3g} can be handled: lower "
-            "scanner.points_per_profile or scanner.profile_rate, or raise the scan_speed"
+            "scanner.points_per_profile or scanner.profile_rate, or raise planner.reachability.scan_speed"
         )

@@ -13,9 +13,10 @@ import pytest
 import trimesh
 
 from cellwright.causes import Cause
-from cellwright.errors import InfeasibleError
+from cellwright.errors import InfeasibleError, InvalidInputError
 from flows import inspection
 from flows.execution import open_lake
+from flows.findings import Findings
 from tests.cellwright.cell.robots import published_crx, shared
 
 CELLS = Path(__file__).parent / "cells"
@@ -135,8 +136,12 @@ def test_a_part_beyond_the_arm_is_a_finding(tmp_path: Path, lake_url: str) -> No
 def test_a_part_inside_the_robots_foot_is_a_finding(tmp_path: Path, lake_url: str) -> None:
     cell = made(tmp_path, trimesh.creation.box((150, 100, 60)))
     inside = ("part.rests_on=null", "part.pose.position=[0 mm, 0 mm, 100 mm]")
-    with pytest.raises(InfeasibleError, match="base_link_inertia and part both stand still"):
-        inspection.run(cell, overrides=(*inside, COARSE), lake=lake_url, direct=True)
+    found: list[Findings] = []
+    with pytest.raises(InvalidInputError, match="the start configuration brings shoulder_link and part closer"):
+        inspection.run(cell, overrides=(*inside, COARSE), lake=lake_url, direct=True, explain=found.append)
+    said = found[0].as_json()["overlaps"]
+    assert any(words.startswith("part and base_link_inertia stand in one another, by at least ") for words in said)
+    assert said[0] in found[0].as_markdown()
 
 
 @pytest.mark.slow

@@ -265,6 +265,10 @@ def _values(what: str, given: JointValues | None, names: tuple[str, ...]) -> Flo
     return np.array(np.broadcast_to(row_values, len(names)))
 
 
+_OVERRIDES = {"lower": "lower_rad", "upper": "upper_rad", "velocity": "max_velocity_rad_s"}
+"""What stands in place of a URDF's limits."""
+
+
 def _limits(joints: list[UrdfJoint], field: str, given: FloatArray) -> FloatArray:
     values = given.copy()
     unlimited = {"lower": -2.0 * math.pi, "upper": 2.0 * math.pi}
@@ -278,7 +282,7 @@ def _limits(joints: list[UrdfJoint], field: str, given: FloatArray) -> FloatArra
         else:
             raise InvalidInputError(
                 f"joint {joint.name!r} has no {field} limit in the URDF: "
-                f'add {field}="..." to its <limit> or state the limit in the cell file'
+                f'add {field}="..." to its <limit> or state {_OVERRIDES[field]}'
             )
     return values
 

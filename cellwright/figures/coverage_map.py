@@ -25,6 +25,7 @@ CAUSE_COLOURS: dict[Cause, str] = {
     Cause.TOO_SHORT: "#6c757d",
     Cause.NOT_SELECTED: "#f4d35e",
     Cause.NOT_SCANNED: "#22304f",
+    Cause.NOT_CONNECTED: "#b8418f",
 }
 """One colour a cause, the same in every picture."""
 

@@ -7,7 +7,7 @@ furthest. Memory stays bounded: points are taken in blocks.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
 
@@ -108,6 +108,7 @@ def explain_misses(
     pieces: CandidatePieces,
     *,
     n_threads: int | None = None,
+    progress: Callable[[float], None] | None = None,
 ) -> Misses:
     """Find out why points (points, 3) with unit normals (points, 3) were not measured.
 
@@ -118,19 +119,33 @@ def explain_misses(
     """
     cause = np.full(len(points), Cause.NOT_SELECTED, np.int8)
     blocked_by = np.full(len(points), -1, np.int32)
+    tell = progress or (lambda share: None)
     ask = partial(measured_by_any, scanner, max_uncertainty, occluder, n_threads=n_threads)
     best = np.unique(pieces.view, return_index=True)[1]
     executed = best[pieces.selected[pieces.view[best]]]
-    planned = ask(points, normals, pieces.as_sweeps(executed))
+    planned = ask(points, normals, pieces.as_sweeps(executed), progress=lambda share: tell(0.1 * share))
     cause[planned] = Cause.NOT_SCANNED
     others = np.flatnonzero(~planned)
     coverable = planned.copy()
-    coverable[others] = ask(points[others], normals[others], pieces.as_sweeps(np.arange(len(pieces.view))))
+    every = pieces.as_sweeps(np.arange(len(pieces.view)))
+    coverable[others] = ask(points[others], normals[others], every, progress=lambda share: tell(0.1 + 0.4 * share))
     rest = np.flatnonzero(~coverable)
     for block in slices_of(len(rest), max(1, _PAIRS_AT_ONCE // max(len(pieces.sweeps), 1))):
         rows = rest[block]
+
+        def within(share: float, block: slice = block) -> None:
+            done = block.start + share * (min(block.stop, len(rest)) - block.start)
+            tell(0.5 + 0.5 * done / len(rest))
+
         found = measure_pairs(
-            scanner, max_uncertainty, occluder, points[rows], normals[rows], pieces.sweeps, n_threads=n_threads
+            scanner,
+            max_uncertainty,
+            occluder,
+            points[rows],
+            normals[rows],
+            pieces.sweeps,
+            n_threads=n_threads,
+            progress=within,
         )
         entry_cause = _entry_causes(found, pieces)
         furthest = found.cause.copy()

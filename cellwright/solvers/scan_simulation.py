@@ -8,6 +8,7 @@ enough, and is seen by the detector. Cost: about 0.3 us a laser ray on one core.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
@@ -67,6 +68,7 @@ def simulate_profiles(
     *,
     rng: np.random.Generator | None = None,
     n_threads: int | None = None,
+    progress: Callable[[float], None] | None = None,
 ) -> ScanPoints:
     """Take one profile at each pose.
 
@@ -80,6 +82,7 @@ def simulate_profiles(
         rng: Adds noise along the laser ray if given: normal, its standard deviation the predicted uncertainty, which
             Scott 2009 defines as that of the measured range (a standard uncertainty, coverage factor 1).
         n_threads: Threads; ``None`` takes the cores that the process may use.
+        progress: Called with the share done.
     """
     angles = np.linspace(-scanner.aperture / 2, scanner.aperture / 2, scanner.points_per_profile)
     # own copies: numba would compile the kernel again for read-only arrays
@@ -87,7 +90,11 @@ def simulate_profiles(
     normals = np.array(surface.normals, float, order="C")
     limits = sensor_limits(scanner, max_uncertainty)
     work = partial(_profile_slice, limits, occluder, normals, surface.two_sided, np.tan(angles), position, rotation)
-    parts = list(map_slices(work, len(position), _PROFILES_AT_ONCE, n_threads=n_threads))
+    parts = []
+    for part in map_slices(work, len(position), _PROFILES_AT_ONCE, n_threads=n_threads):
+        parts.append(part)
+        if progress is not None:
+            progress(min(1.0, len(parts) * _PROFILES_AT_ONCE / len(position)))
     points = np.concatenate([np.empty((0, 3)), *(part[0] for part in parts)])
     uncertainty = np.concatenate([np.empty(0), *(part[1] for part in parts)])
     face = np.concatenate([np.empty(0, np.int32), *(part[2] for part in parts)])

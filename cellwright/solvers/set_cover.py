@@ -9,6 +9,7 @@ reads no clock, so its result is the same on every machine. `cover_exactly` hand
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -54,6 +55,7 @@ def cover_best(
     node_limit: int | None = None,
     seed: int = 0,
     n_threads: int = 2,
+    progress: Callable[[float], None] | None = None,
 ) -> Cover:
     """Find a smallest cover, or the best within a fixed amount of work with the gap to a proven bound.
 
@@ -67,6 +69,7 @@ def cover_best(
         node_limit: Nodes of the branch and bound at most; unlimited if left out.
         seed: Seed of the local search.
         n_threads: Threads; the result does not depend on them.
+        progress: Called with the share of the permitted work that is done; a proof may come long before its end.
 
     Raises:
         InvalidInputError: If the matrix, costs, ties or limits are malformed.
@@ -78,6 +81,7 @@ def cover_best(
     start = start_cover(given, checked_ties(given, tie), min_coverage, max_work=max_work, seed=seed)
     left, work, nodes = start.reduced.matrix, start.work, 0
     best, bound, method, closed = start.columns, start.bound, "search", start.closed
+    tell = progress or (lambda share: None)
     while not closed and start.n_spare == 0 and work < max_work and nodes < (node_limit or math.inf):
         cost = float(left.costs[best].sum())
         target = cost - (start.cost - start.target)
@@ -89,6 +93,7 @@ def cover_best(
             max_work=max_work - work,
             max_nodes=math.inf if node_limit is None else node_limit - nodes,
             n_threads=n_threads,
+            progress=lambda more, before=work: tell(min(1.0, (before + more) / max_work)),  # type: ignore[misc]
         )
         work, nodes = work + outcome.work, nodes + outcome.n_nodes
         if outcome.columns is None:

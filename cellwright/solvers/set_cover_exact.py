@@ -113,7 +113,7 @@ def _run_highs(start: CoverStart, time_limit_s: float, node_limit: int | None) -
     reasons = {"Optimal": "optimality", "Time limit reached": "time", "Solution limit reached": "nodes"}
     if status not in reasons:
         raise SolverError(
-            f"HiGHS ended with {status!r} on {left.n_rows} rows and {len(names)} columns: use the method best, "
+            f"HiGHS ended with {status!r} on {left.n_rows} rows and {len(names)} columns: use `method` best, "
             "which does not need it"
         )
     value = np.asarray(solver.getSolution().col_value)[n_slack:]

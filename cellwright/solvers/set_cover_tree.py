@@ -13,6 +13,7 @@ number of threads.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import partial
@@ -84,6 +85,7 @@ def search_tree(
     max_work: float,
     max_nodes: float = math.inf,
     n_threads: int = 2,
+    progress: Callable[[float], None] | None = None,
 ) -> TreeOutcome:
     """Search for a cover that costs at most ``budget``; all rows have to be covered.
 
@@ -94,6 +96,7 @@ def search_tree(
         max_work: Matrix entries to visit, checked between batches of nodes.
         max_nodes: Nodes to open, checked likewise.
         n_threads: Threads; the result does not depend on them.
+        progress: Called with the work that is done.
 
     Raises:
         InvalidInputError: Never; the matrix has been checked.
@@ -109,6 +112,8 @@ def search_tree(
             share = (max_work - work) / len(batch)
             for result in pool.map(partial(_expand, limit=budget, max_work=share), batch):
                 work += result.work
+                if progress is not None:
+                    progress(work)
                 if result.found is not None:
                     return TreeOutcome(result.found, bound, True, work, n_nodes)
                 stack += result.children

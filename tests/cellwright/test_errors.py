@@ -36,6 +36,6 @@ def test_long_lists_are_cut_at_five(n: int, text: str) -> None:
 def test_causes_keep_their_numbers_which_lakes_hold() -> None:
     assert [cause.label for cause in Cause] == [
         "none", "field of view", "incidence", "uncertainty", "emitter occluded", "detector occluded", "out of reach",
-        "joint limit", "collision", "joint speed", "too short", "not selected", "not scanned",
+        "joint limit", "collision", "joint speed", "too short", "not selected", "not scanned", "not connected",
     ]  # fmt: skip
-    assert [int(cause) for cause in Cause] == list(range(13))
+    assert [int(cause) for cause in Cause] == list(range(14))

@@ -47,7 +47,10 @@ def closed(rounds: int, *n_gaps: int) -> tuple[str, list[str]]:
     request: InspectionRequest = request_of(EXAMPLE, [f"planner.refinement.rounds={rounds}"])
     inputs: Any = [Made(name) for name in ("mesh", "surroundings", "viewpoints", "reachability", "measurable")]
     selection: Any = Made("first selection")
-    kept: Any = close_gaps(chain, request, chain, *inputs, selection)
+    kept, made_of = (step.ref() for step in close_gaps(chain, request, chain, *inputs, selection))
+    assert made_of.name == kept.name.replace("select_views", "extend_measurability").replace(
+        "first selection", "measurable"
+    )
     return kept.name, chain.ran
 
 

@@ -206,15 +206,6 @@ def test_what_happens_is_reported_in_order(lake_url: str) -> None:
     ]
 
 
-def test_a_recorded_run_names_what_it_used(lake_url: str) -> None:
-    step = chain(lake_url)
-    step.record_run("run-1", flow="chain")
-    (record,) = Lake(lake_url).runs()
-    assert record["flow"] == "chain"
-    assert [each["name"] for each in record["steps"]] == ["count_up", "scale", "add_up"]
-    assert record["steps"][2]["digest"] == step.records()[2].ref.digest
-
-
 def test_how_long_a_stage_took_and_where_stands_beside_it_not_in_it(lake_url: str) -> None:
     ref = chain(lake_url).records()[0].ref
     made = Lake(lake_url).provenance(ref)

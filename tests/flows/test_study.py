@@ -50,7 +50,8 @@ class Plan:
             "causes": {},
         }
 
-    def computing_seconds(self) -> dict[str, float]:
+    @property
+    def stage_seconds(self) -> dict[str, float]:
         return {"read_source part": 1.0, "select_views": 2.0, "select_views round 1": 3.0, "verify_plan": 4.0}
 
 

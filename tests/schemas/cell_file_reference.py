@@ -101,6 +101,8 @@ def _kind(field: FieldInfo) -> str:
         return "path"
     if "bool" in text:
         return "`true` or `false`"
+    if is_list:
+        return "list of pairs of names"
     return "whole number" if "int" in text else "text"
 
 

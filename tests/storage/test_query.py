@@ -124,6 +124,52 @@ def test_a_wrong_statement_is_told_with_the_tables_there_are(filled: Lake, sql: 
     assert "manifests, inputs, runs, fields, measurability_entries" in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    "sql",
+    [
+        "COPY (SELECT 1) TO '{folder}/stolen.csv'",
+        "COPY manifests TO '{file}' (FORMAT parquet)",
+        "SELECT 1; COPY (SELECT 1) TO '{folder}/stolen.csv'",
+        "EXPLAIN ANALYZE COPY (SELECT 1) TO '{folder}/stolen.csv'",
+        "/* so */ EXPLAIN /* so */ ANALYZE COPY (SELECT 1) TO '{folder}/stolen.csv'",
+        "EXPLAIN (ANALYZE) COPY (SELECT 1) TO '{folder}/stolen.csv'",
+        "EXPORT DATABASE '{folder}/stolen'",
+        "ATTACH '{folder}/stolen.db'",
+        "CREATE TABLE a (i INT)",
+        "SET enable_external_access = true",
+        "INSTALL httpfs",
+        "CALL pragma_version()",
+        "COPY (PIVOT (SELECT 1 AS a) ON a USING sum(a)) TO '{folder}/stolen.csv'",
+    ],
+)
+def test_a_statement_that_would_write_is_refused(filled: Lake, tmp_path: Path, sql: str) -> None:
+    before = filled.place.walk("")
+    file = filled.paths(filled.resolve("viewpoints"))["views.parquet"]
+    with pytest.raises(InvalidInputError):
+        filled.query(sql.format(folder=tmp_path, file=file))
+    assert filled.place.walk("") == before
+    assert not list(tmp_path.glob("stolen*"))
+    assert filled.verify() == []
+
+
+def test_a_refusal_names_what_may_be_written(filled: Lake) -> None:
+    with pytest.raises(InvalidInputError, match=r"only read here, but this is .* COPY: write SELECT"):
+        filled.query("COPY manifests TO 'x.csv'")
+
+
+def test_files_outside_the_lake_are_not_read(filled: Lake, tmp_path: Path) -> None:
+    (tmp_path / "secret.csv").write_text("a,b\n1,2\n")
+    with pytest.raises(InvalidInputError, match="Permission Error"):
+        filled.query(f"SELECT * FROM read_csv('{tmp_path}/secret.csv')")
+
+
+@pytest.mark.parametrize(
+    "sql", ["EXPLAIN SELECT * FROM viewpoints_views", "EXPLAIN ANALYZE SELECT 1", "SUMMARIZE runs"]
+)
+def test_what_only_reads_is_answered(filled: Lake, sql: str) -> None:
+    assert filled.query(sql).num_rows > 0
+
+
 def test_a_missing_file_is_told(lake: Lake) -> None:
     ref = lake.publish(recipe().key, tally(1), recipe())
     lake.place.remove(f"data/test-tally/{ref.digest}/counts.parquet")

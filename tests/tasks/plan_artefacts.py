@@ -11,9 +11,10 @@ from cellwright.causes import Cause
 from cellwright.cell.bodies import BASE, WORLD, Body, Box, Sphere
 from cellwright.cell.transforms import pose
 from schemas.motion import ScanCloud, Trajectory, Verification
+from schemas.overlaps import StandingOverlaps
 from schemas.part import SurfaceSamples
 from schemas.sources import CellModel
-from schemas.views import Coverage, Viewpoints, ViewSelection
+from schemas.views import Coverage, Reachability, Viewpoints, ViewSelection
 from tests.tasks.plate_scene import points_on_top, scanned, selected, views_down
 from tests.tasks.test_simulate_scan import cell_model, swing
 
@@ -96,12 +97,44 @@ def scan() -> ScanCloud:
     )
 
 
+def overlaps() -> StandingOverlaps:
+    return StandingOverlaps(
+        body=("part",),
+        other=("table",),
+        depth_m=np.array([0.0121]),
+        finding=("part and table stand in one another, by at least 12.1 mm: move one of them or correct its size",),
+        n_pairs=3,
+        resting_m=0.001,
+        engine="FCL",
+    )
+
+
+def reachability(n_unsettled: int = 0) -> Reachability:
+    return Reachability(
+        view=np.zeros(0, np.int32),
+        branch=np.zeros(0, np.int8),
+        start_m=np.zeros(0),
+        end_m=np.zeros(0),
+        q_start_rad=np.zeros((0, 2)),
+        outcome=np.zeros(len(POINTS), np.int8),
+        blocked_by=np.full(len(POINTS), -1, np.int32),
+        body=("table", "part"),
+        n_unsettled=n_unsettled,
+    )
+
+
 def verification() -> Verification:
     return Verification(
-        check=("joint speed", "collision distance"),
+        check=("joint speed", "distance of bodies"),
         found=np.array([0.98, 0.0043]),
         permitted=np.array([1.0, 0.0]),
         unit=("of the limit", "m"),
+        at_least=np.array([False, True]),
+        least_distance_m=0.00432,
+        proven_distance_m=0.0043,
+        nearest_bodies=("one.1", "part"),
+        nearest_s=1.25,
+        n_distances=12,
         n_states=4321,
         engine="FCL",
     )

@@ -1,0 +1,118 @@
+"""Places that cannot be read or written, full disks, servers that go away: one error, nothing torn."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+
+import httpx
+import pytest
+
+from flows import command_line, server
+from storage.lake import Lake
+from tests.faults.bench import LAKE, MALFORMED, Bench
+from tests.small_inspection import write_cell
+
+
+@pytest.mark.parametrize(
+    ("lake", "code", "says"),
+    [
+        ("plate.stl", MALFORMED, "plate.stl is a file; choose another path"),
+        ("plate.stl/lake", MALFORMED, "plate.stl is a file; choose another path"),
+        ("x" * 300, LAKE, "File name too long"),
+    ],
+)
+def test_a_place_that_cannot_be_a_lake_is_refused(lake: str, code: int, says: str, bench: Bench) -> None:
+    assert says in bench.refused(code, lake=str(bench.folder / lake))
+
+
+@pytest.fixture
+def closed_folder(tmp_path: Path) -> Iterator[Path]:
+    """A folder in which this process cannot write."""
+    folder = tmp_path / "closed"
+    folder.mkdir()
+    folder.chmod(0o555)
+    for each in tmp_path.parents:  # pytest keeps its folders to their owner, who is somebody else below
+        if "pytest-of-" in str(each):
+            each.chmod(0o755)
+    tmp_path.chmod(0o755)
+    root = os.geteuid() == 0
+    if root:
+        os.seteuid(65534)  # root writes everywhere
+    try:
+        yield folder
+    finally:
+        if root:
+            os.seteuid(0)
+        folder.chmod(0o755)
+
+
+def test_a_lake_that_cannot_be_written_is_told(
+    tmp_path: Path, closed_folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cell, acting = tmp_path / "cell.yaml", os.geteuid()
+    os.seteuid(os.getuid())
+    write_cell(tmp_path)
+    os.seteuid(acting)
+    assert (
+        command_line.main(["inspect", str(cell), "--direct", "--json", "--lake", str(closed_folder / "lake")]) == LAKE
+    )
+    said = capsys.readouterr().err
+    assert "Permission denied: make the folder writable for this user or choose another lake with --lake" in said
+    assert list(closed_folder.iterdir()) == []
+
+
+def test_a_full_disk_is_told_and_leaves_only_whole_artefacts(bench: Bench) -> None:
+    disk = bench.folder / "disk"
+    disk.mkdir()
+    mount = ["mount", "-t", "tmpfs", "-o", "size=60k", "tmpfs", str(disk)]
+    if subprocess.run(mount, capture_output=True, check=False).returncode:
+        pytest.skip("mounting a small disk is not permitted here")
+    try:
+        said = bench.refused(LAKE, lake=str(disk / "lake"))
+        assert "No space left on device" in said
+        assert "free some space" in said
+        assert Lake(str(disk / "lake")).verify() == []
+        assert len(list(Lake(str(disk / "lake")).manifests())) >= 1
+    finally:
+        subprocess.run(["umount", str(disk)], check=True)
+
+
+def test_a_result_folder_that_cannot_be_written_is_refused_before_planning(bench: Bench) -> None:
+    write_cell(bench.folder)
+    said = bench.refused(MALFORMED, "--out", str(bench.folder / "plate.stl" / "out"), lake=str(bench.folder / "new"))
+    assert "plate.stl" in said
+    assert "--out" in said
+    assert not (bench.folder / "new").exists()
+
+
+def test_an_unknown_stage_to_refresh_is_refused(bench: Bench) -> None:
+    assert "did you mean 'select_views'?" in bench.refused(MALFORMED, "--refresh", "select_view")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "says"),
+    [
+        (["show", "coverage"], MALFORMED, "no artefact 'coverage'"),
+        (["show", "abc"], MALFORMED, "abc"),
+        (["lineage", "nope"], MALFORMED, "no artefact 'nope'"),
+        (["sql", "selec 1"], MALFORMED, "syntax error"),
+        (["sql", "select * from nope"], MALFORMED, "nope"),
+    ],
+)
+def test_a_lake_command_about_nothing_is_refused(arguments: list[str], code: int, says: str, bench: Bench) -> None:
+    assert command_line.main(["lake", *arguments, "--lake", str(bench.folder / "none")]) == code
+    said = bench.capsys.readouterr().err
+    assert says in said
+    assert "Traceback" not in said
+
+
+def test_a_server_that_goes_away_during_a_run_is_told(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    gone = server.ServerStatus("running", "http://127.0.0.1:9/api", 1, tmp_path)
+    monkeypatch.setenv("CELLWRIGHT_HOME", str(tmp_path))
+    monkeypatch.setattr(server, "start", lambda say: gone)
+    monkeypatch.setattr(server, "_require_answer", lambda url: None)
+    with pytest.raises(server.ServerError, match=r"stopped answering .* run again"), server.connected(print):
+        raise httpx.ConnectError("[Errno 111] Connection refused")

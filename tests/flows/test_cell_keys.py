@@ -1,0 +1,96 @@
+"""Errors of stages end in a line of the cell file."""
+
+from __future__ import annotations
+
+import ast
+import re
+from pathlib import Path
+
+import pytest
+
+import tasks
+from cellwright.errors import InfeasibleError, SolverError
+from flows.cell_keys import KEYS, METHODS, _values, with_keys
+from flows.examples import find_cell_file
+from schemas.cell_file import CellFile, load_cell_file
+from tests.flows.conftest import PROJECT
+
+NOT_SETTABLE = {
+    "base_link",
+    "flange_link",
+    "max_work",
+    "max_exact_checks",
+    "max_connections",
+    "weld_tolerance_m",
+    "T_world_part",
+    "up_part",
+}
+"""Fields that the cell file leaves at their defaults, that flows fill in, or whose names are also those of links."""
+
+EXAMPLE = find_cell_file("grooved_cylinder")
+
+
+@pytest.fixture(scope="module")
+def cell() -> CellFile:
+    return load_cell_file(EXAMPLE, ["planner.reachability.clearance=6 mm", "robot.max_velocity=[90 deg/s]"])
+
+
+def test_a_parameter_becomes_the_key_with_its_value_and_the_file(cell: CellFile) -> None:
+    error = with_keys(InfeasibleError("no way to sweep 3: raise roadmap_nodes, lower clearance_m, or move it"), cell)
+    assert type(error) is InfeasibleError
+    assert str(error) == (
+        "no way to sweep 3: raise planner.stitching.roadmap_nodes, lower planner.reachability.clearance, or move it "
+        f"(in {EXAMPLE}: planner.stitching.roadmap_nodes = 1000 by default; planner.reachability.clearance = 6 mm)"
+    )
+
+
+def test_a_key_in_the_message_gets_its_value_too(cell: CellFile) -> None:
+    error = with_keys(SolverError("lower planner.sampling.density."), cell)
+    assert str(error).endswith("(in " + str(EXAMPLE) + ": planner.sampling.density = 0.005 /mm^2)")
+
+
+def test_lists_and_what_is_not_set_are_written_as_in_the_file(cell: CellFile) -> None:
+    said = str(with_keys(InfeasibleError("raise max_velocity_rad_s, node_limit or standoff_m"), cell))
+    assert "robot.max_velocity = [90 deg/s]; " in said
+    assert "planner.selection.node_limit = not set by default" in said
+    assert "planner.viewpoints.standoffs = [best] by default" in said
+
+
+def test_the_method_is_that_of_the_stage(cell: CellFile) -> None:
+    error = InfeasibleError("too many sweeps: use `method` best")
+    for stage, key in METHODS.items():
+        assert f"use {key} best" in str(with_keys(error, cell, stage))
+    assert with_keys(error, cell, "read_source").args[0].startswith("too many sweeps: use method best")
+
+
+@pytest.mark.parametrize("text", ["part.stl is empty: export it again", "a robot of the table", "see planner.stl"])
+def test_a_message_without_keys_stays_as_it_is(text: str, cell: CellFile) -> None:
+    error = InfeasibleError(text)
+    assert with_keys(error, cell) is error
+
+
+def test_every_key_exists_and_has_a_value(cell: CellFile) -> None:
+    for key in (*KEYS.values(), *METHODS.values()):
+        assert list(_values(cell, key)), key
+
+
+def test_every_field_that_an_error_names_has_a_key() -> None:
+    fields = {name for stage in tasks.STAGES.values() for name in stage.params_class.model_fields if "_" in name}
+    named: dict[str, str] = {}
+    for folder in ("tasks", "cellwright"):
+        for path in sorted((PROJECT / folder).rglob("*.py")):
+            for text in _raised(path):
+                named |= dict.fromkeys(re.findall(r"(?<![\w.])\w+_\w+(?![\w.(])", text), f"{path}: {text}")
+    without = {name: where for name, where in named.items() if name in fields - KEYS.keys() - NOT_SETTABLE}
+    assert not without
+    assert {"clearance_m", "max_uncertainty_m", "start_rad"} <= named.keys(), "the search finds nothing any more"
+
+
+def _raised(path: Path) -> list[str]:
+    raises = [node for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.Raise)]
+    return [
+        each.value
+        for node in raises
+        for each in ast.walk(node)
+        if isinstance(each, ast.Constant) and isinstance(each.value, str)
+    ]

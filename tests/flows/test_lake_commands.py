@@ -1,0 +1,164 @@
+"""What `cellwright lake` shows, on a lake of three small artefacts."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from flows import command_line
+from flows.runner import Steps
+from storage.lake import Lake
+from storage.manifests import Recipe
+from tests.flows import small_stages as small
+
+
+class TestLakeCommands:
+    """`cellwright lake`, on a lake of three small artefacts."""
+
+    @pytest.fixture
+    def lake(self, lake_url: str, stages: None, monkeypatch: pytest.MonkeyPatch) -> Lake:
+        monkeypatch.setenv("CELLWRIGHT_LAKE", lake_url)
+        with Steps(lake_url, direct=True) as step:
+            numbers = step(small.count_up, {"n": 4})
+            step(small.add_up, {}, parts=(numbers, step(small.scale, {}, numbers=numbers)))
+        return Lake(lake_url)
+
+    def json_of(self, capsys: pytest.CaptureFixture[str], *command: str, code: int = 0) -> Any:
+        assert command_line.main(["lake", *command, "--json"]) == code
+        return json.loads(capsys.readouterr().out)
+
+    def text_of(self, capsys: pytest.CaptureFixture[str], *command: str, code: int = 0) -> str:
+        assert command_line.main(["lake", *command]) == code
+        return capsys.readouterr().out
+
+    def test_ls_lists_artefacts_in_the_order_they_were_made(
+        self, lake: Lake, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        assert [row["stage"] for row in self.json_of(capsys, "ls")] == ["count_up", "scale", "add_up"]
+        assert "add_up v1" in self.text_of(capsys, "ls")
+
+    def test_an_empty_lake_says_so(self, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+        said = self.text_of(capsys, "ls", "--lake", str(tmp_path / "none"))
+        assert f"{tmp_path / 'none'} is empty, it does not even exist yet: fill it with `cellwright inspect" in said
+        assert "is empty: fill it with `cellwright inspect" in self.text_of(capsys, "ls", "--lake", str(tmp_path))
+        assert self.json_of(capsys, "ls", "--lake", str(tmp_path)) == []
+
+    @pytest.mark.parametrize("action", ["show", "lineage"])
+    def test_what_is_asked_of_an_empty_lake_names_what_to_do(
+        self, tmp_path: Path, capsys: pytest.CaptureFixture[str], action: str
+    ) -> None:
+        assert command_line.main(["lake", action, "coverage", "--lake", str(tmp_path / "none")]) == 2
+        said = capsys.readouterr().err
+        assert "no artefact 'coverage'" in said
+        assert "does not even exist yet: fill it with `cellwright inspect CELL.yaml`, or name another" in said
+
+    def test_show_names_columns_origin_and_files(self, lake: Lake, capsys: pytest.CaptureFixture[str]) -> None:
+        shown = self.json_of(capsys, "show", "test-total")
+        assert shown["columns"][0]["name"] == "rows.value"
+        assert shown["columns"][0]["rows"] == 1
+        assert all(Path(path).is_file() for path in shown["files"].values())
+        assert len(shown["inputs"]["parts"]) == 2
+        assert "A sum" in self.text_of(capsys, "show", "test-total")
+
+    def test_show_counts_causes(self, lake: Lake, capsys: pytest.CaptureFixture[str]) -> None:
+        import numpy as np
+
+        from flows.lake_commands import _causes
+        from schemas.views import Measurability
+
+        nothing = np.zeros(0, np.int32)
+        shares = np.array([0.0])
+        artefact = Measurability(
+            view=nothing, sample=nothing, uncertainty_m=nothing.astype(np.float32), start_m=shares, end_m=shares,
+            cause=np.array([0, 2, 2, 5], np.int8),
+        )  # fmt: skip
+        assert _causes(artefact) == {"samples.cause": {"none": 1, "incidence": 2, "detector occluded": 1}}
+
+    def test_show_counts_collisions_by_body(self, lake: Lake, capsys: pytest.CaptureFixture[str]) -> None:
+        import numpy as np
+
+        from schemas.views import Reachability
+
+        nothing, n_rows = np.zeros(0), np.zeros(0, np.int32)
+        blocked_by = np.array([2, -1, 0, 2, -1], np.int32)
+        reachability = Reachability(
+            view=n_rows, branch=n_rows.astype(np.int8), start_m=nothing, end_m=nothing, q_start_rad=np.zeros((0, 6)),
+            outcome=np.where(blocked_by >= 0, 8, 6).astype(np.int8), blocked_by=blocked_by,
+            body=("fixture", "fence", "table"),
+        )  # fmt: skip
+        about = Recipe("follow_sweeps", 1, {}, {})
+        lake.publish(about.key, reachability, about)
+        shown = self.json_of(capsys, "show", "reachability")
+        assert shown["collisions"] == {"table": 2, "fixture": 1}
+        assert shown["causes"] == {"views.outcome": {"out of reach": 2, "collision": 3}}
+        said = self.text_of(capsys, "show", "reachability")
+        assert "collision with table: 2\ncollision with fixture: 1\n" in said
+        assert "fence" not in said
+        assert self.json_of(capsys, "show", "test-total")["collisions"] == {}
+
+    def test_show_tells_findings(self, lake: Lake, capsys: pytest.CaptureFixture[str]) -> None:
+        from flows.lake_commands import _findings
+        from tests.tasks import plan_artefacts as plan
+
+        about = Recipe("find_overlaps", 1, {}, {})
+        lake.publish(about.key, plan.overlaps(), about)
+        assert "finding: part and table stand in one another, by at least 12.1 mm" in self.text_of(
+            capsys, "show", "standing-overlaps"
+        )
+        assert len(self.json_of(capsys, "show", "standing-overlaps")["findings"]) == 1
+        assert self.json_of(capsys, "show", "test-total")["findings"] == []
+        left_out = {"left_out_view": np.array([7], np.int32), "left_out_reason": ("no way leads there",)}
+        assert _findings(plan.changed(plan.trajectory(), **left_out)) == ["view 7 is left out: no way leads there"]
+
+    def test_show_of_something_unknown_ends_with_2(self, lake: Lake, capsys: pytest.CaptureFixture[str]) -> None:
+        assert command_line.main(["lake", "show", "test-totl"]) == 2
+        assert "did you mean test-total" in capsys.readouterr().err
+
+    def test_lineage_reaches_the_source(self, lake: Lake, capsys: pytest.CaptureFixture[str]) -> None:
+        lines = self.json_of(capsys, "lineage", "test-total")
+        assert [line["stage"] for line in lines] == ["add_up", "count_up", "scale", "count_up"]
+        assert "    numbers: test-numbers/" in self.text_of(capsys, "lineage", "test-total")
+
+    def test_sql_answers(self, lake: Lake, capsys: pytest.CaptureFixture[str]) -> None:
+        query = "SELECT kind, count(*) AS n FROM manifests GROUP BY kind ORDER BY kind"
+        assert self.json_of(capsys, "sql", query) == [{"kind": "test-numbers", "n": 2}, {"kind": "test-total", "n": 1}]
+        assert "test-total" in self.text_of(capsys, "sql", query)
+
+    def test_verify_finds_a_flipped_bit_and_ends_with_5(self, lake: Lake, capsys: pytest.CaptureFixture[str]) -> None:
+        assert self.json_of(capsys, "verify") == {"artefacts": 3, "problems": []}
+        (path,) = map(Path, lake.paths(lake.resolve("test-total")).values())
+        content = bytearray(path.read_bytes())
+        content[-1] ^= 1
+        path.chmod(0o644)
+        path.write_bytes(content)
+        problems = self.json_of(capsys, "verify", code=5)["problems"]
+        assert [problem["address"] for problem in problems] == [str(path)]
+        assert "1 problems" in self.text_of(capsys, "verify", code=5)
+
+    def test_gc_says_what_would_go_and_deletes_nothing_young(
+        self, lake: Lake, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        assert self.json_of(capsys, "gc")["deleted"] is False
+        assert self.json_of(capsys, "gc", "--yes")["deleted"] is True
+        assert len(self.json_of(capsys, "ls")) == 3
+
+    def test_gc_forgets_old_runs_but_the_newest(self, lake: Lake, capsys: pytest.CaptureFixture[str]) -> None:
+        for name, kind in (("first", "test-numbers"), ("second", "test-total"), ("third", "test-total")):
+            lake.record_run(name, {"ref": lake.resolve(kind)})
+        assert "recorded runs that keep what they used: 3; --keep-runs N" in self.text_of(capsys, "gc")
+        assert self.json_of(capsys, "gc", "--keep-runs", "1")["forgotten_runs"] == []  # none is a day old
+        for path in (Path(lake.url) / "runs").iterdir():
+            os.utime(path, (0, 0))
+        said = self.text_of(capsys, "gc", "--keep-runs", "1")
+        assert "would forget 2 runs" in said
+        assert "runs/first.json" in said
+        assert "add --yes" in said
+        assert self.json_of(capsys, "gc", "--keep-runs", "1", "--yes")["forgotten_runs"] == ["second", "first"]
+        assert [run["run_id"] for run in lake.runs()] == ["third"]
+        assert command_line.main(["lake", "gc", "--keep-runs", "0"]) == 2
+        assert "at least 1 must stay" in capsys.readouterr().err
