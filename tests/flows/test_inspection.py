@@ -70,7 +70,10 @@ def digests(steps: Any) -> dict[str, str]:
     return {step["name"]: step["digest"] for step in steps}
 
 
-ALL = set(tasks.STAGES) - {"explain_samples"}  # which runs where there is no plan
+ALL = set(tasks.STAGES) - {
+    "explain_samples",  # runs where there is no plan
+    "fit_spheres",  # belongs to the layout
+}
 BEFORE_PLACING = {"read_source", "assemble_cell", "preprocess_mesh", "sample_surface", "sample_viewpoints"}
 BEFORE_SELECTING = BEFORE_PLACING | {"place_surroundings", "measure_samples", "follow_sweeps", "trim_measurability"}
 
