@@ -21,6 +21,7 @@ def main() -> int:
     import numpy as np
 
     from cellwright.cell.parametric_parts import box
+    from cellwright.solvers import sequencing
     from cellwright.solvers.set_cover import cover_best
     from cellwright.solvers.sphere_fitting import FitSettings, fit_spheres
     from flows import inspection
@@ -32,6 +33,7 @@ def main() -> int:
     inspection.run(find_cell_file("grooved_cylinder"), overrides=coarse, lake="memory://kernels", direct=True)
     cover_best(_strips_on_cylinder(80, 500))
     fit_spheres(box((0.1, 0.1, 0.1)), 3, generator=np.random.default_rng(0), settings=FitSettings(n_starts=1))
+    sequencing.compile_kernels()
     sys.stderr.write(f"compiled in {time.monotonic() - begun:.0f} s\n")
     return 0
 
