@@ -1,8 +1,8 @@
 """How fast is the whole inspection? Run: ``python -m benchmarks.inspection``.
 
 Everything is measured in this process, without a server, on the shipped example, after one warm-up that pays for
-compilation. The planning chain at the paper's highest density stands beside its own bare kernels of the same run: the
-rays that were cast, the poses solved, the bounding tests made (see `benchmarks.reachability`).
+compilation. Last, the planning chain at the paper's highest density stands beside its own bare kernels of the same run:
+the rays that were cast, the poses solved, the collision checks done (see `benchmarks.planning_chain`).
 """
 
 from __future__ import annotations
@@ -15,13 +15,12 @@ from collections.abc import Callable
 from typing import Any
 
 begun = time.perf_counter()
-from benchmarks import reachability  # noqa: E402
-from cellwright.cell.occlusion import Occluder  # noqa: E402
 from flows import compile_kernels, inspection  # noqa: E402
 from flows.examples import find_cell_file  # noqa: E402
-from tasks.follow_sweeps import SweepParams  # noqa: E402
 
 IMPORT_S = time.perf_counter() - begun
+
+from benchmarks import planning_chain  # noqa: E402
 
 PLANNING = ("sample_surface planning", "sample_viewpoints", "measure_samples", "follow_sweeps", "trim_measurability")
 
@@ -39,28 +38,13 @@ def plan(lake: str, *overrides: str) -> tuple[float, Any]:
     return timed(lambda: inspection.run(cell, overrides=overrides, lake=lake, direct=True))
 
 
-def rays_s(mesh: Any, seen: Any, views: Any) -> float:
-    """Return the seconds of casting two rays for every measured pair, on one thread."""
-    import numpy as np
-
-    from cellwright.cell.bodies import Mesh
-
-    occluder = Occluder(Mesh(mesh.vertices_m, mesh.faces))
-    n = min(len(seen.view), 200_000)
-    targets = views.position_m[seen.view[:n]]
-    origins = np.repeat(mesh.vertices_m.mean(axis=0)[None], n, axis=0)
-    occluder.blocked(origins[:10], targets[:10])
-    seconds, _ = timed(lambda: occluder.blocked(origins, targets))
-    return seconds / n * 2 * len(seen.view)
-
-
 def main() -> int:
     """Print one line a bar."""
     compile_kernels.main()
     print(f"imports                                      {IMPORT_S:8.2f} s")
     with tempfile.TemporaryDirectory() as folder:
         _, dense = plan(f"{folder}/dense", "planner.sampling.density=0.01 /mm^2", "planner.refinement.rounds=0")
-        steps = dense.computing_seconds()
+        steps = dense.stage_seconds
         chain = sum(steps[name] for name in PLANNING) + steps["select_views"]
         for name in (*PLANNING, "select_views"):
             print(f"  {name:42s} {steps[name]:8.2f} s")
@@ -77,13 +61,7 @@ def main() -> int:
         computed_names = [record.name for record in changed.records if not record.cached]
         print(f"another report title computes: {', '.join(computed_names)}")
 
-        cell, mesh, views, seen = reachability.inputs(0.01)
-        kernels = reachability.bare_kernels(cell, mesh, views, seen, SweepParams(T_world_part=reachability.PART_POSE))
-        kernels += rays_s(mesh, seen, views)
-        # the chain skips most bounding tests, so this sum is more than the work that it does
-        print(f"bare kernels, every pair tested everywhere   {kernels:8.2f} s on one core")
-        print(f"chain over these kernels on two cores        {chain / (kernels / 2):8.2f}")
-    return 0
+    return planning_chain.main(0.01)
 
 
 def peak_gb() -> float:

@@ -8,6 +8,7 @@ from schemas.artefact import digest
 from schemas.part import Surroundings
 from schemas.poses import Pose
 from tasks.place_surroundings import SurroundingsParams, place_surroundings
+from tests.tasks.goldens import check_golden, rounded
 from tests.tasks.test_simulate_scan import T_WORLD_BASE, cell_model
 
 T_WORLD_PART = pose(np.array([0.5, 0.1, 0.3]), np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]))
@@ -43,6 +44,10 @@ def test_faces_of_later_bodies_point_at_their_own_vertices() -> None:
 
 def test_an_empty_cell_has_no_surroundings() -> None:
     assert len(placed(LINK).faces) == 0
+
+
+def test_the_result_is_the_one_of_this_version() -> None:
+    check_golden(place_surroundings, rounded(placed(TABLE, PLINTH, LINK)))
 
 
 def test_nothing_else_of_the_cell_changes_them() -> None:

@@ -4,6 +4,7 @@ import pytest
 
 from cellwright.errors import InvalidInputError
 from tasks.read_source import SourceParams, read_source
+from tests.tasks.goldens import check_golden
 
 
 def test_a_file_is_read_byte_for_byte(tmp_path: Path) -> None:
@@ -11,6 +12,11 @@ def test_a_file_is_read_byte_for_byte(tmp_path: Path) -> None:
     path.write_bytes(bytes(range(256)))
     source = read_source(params=SourceParams.of(path))
     assert (source.name, source.content) == ("part.stl", bytes(range(256)))
+
+
+def test_the_result_is_the_one_of_this_version(tmp_path: Path) -> None:
+    (tmp_path / "part.stl").write_bytes(bytes(range(256)))
+    check_golden(read_source, read_source(params=SourceParams.of(tmp_path / "part.stl")))
 
 
 def test_the_key_is_the_content_and_not_the_place(tmp_path: Path) -> None:

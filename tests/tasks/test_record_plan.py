@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from cellwright.cell.transforms import pose, rotation_from_quaternion
-from schemas.artefact import digest
 from schemas.motion import Recording
 from schemas.poses import Pose
 from tasks.record_plan import RecordingParams, record_plan
 from tests.tasks import plan_artefacts as plan
+from tests.tasks.goldens import check_golden, rounded
 from tests.tasks.plate_scene import plate
 from tests.tasks.test_simulate_scan import T_WORLD_BASE
 
@@ -140,11 +140,4 @@ def test_a_scan_without_points_is_recorded_too() -> None:
 
 
 def test_the_result_is_the_one_of_this_version() -> None:
-    found = plan.changed(recording(), triangle_m=np.round(recording().triangle_m, 9))
-    rounded = plan.changed(
-        found,
-        pose_position_m=np.round(found.pose_position_m, 9) + 0.0,
-        pose_quaternion=np.round(found.pose_quaternion, 9) + 0.0,
-    )
-    golden = "9848d632394276a5c593bcf8cf694fdc2c5f7088821bda89ca4b97b45403fa92"
-    assert digest(rounded) == golden, "the result changed: raise the version of record_plan"
+    check_golden(record_plan, rounded(recording()))

@@ -10,6 +10,7 @@ from cellwright.errors import InvalidInputError
 from cellwright.solvers.sweep_trimming import trim_entries
 from schemas.views import Measurability, Reachability
 from tasks.trim_measurability import TrimParams, trim_measurability
+from tests.tasks.goldens import check_golden, rounded
 from tests.tasks.plate_scene import points_on_top, views_down
 
 # the views look down at x = 0, 0.1 and 0; samples lie at x = -0.05, 0, 0.04, 0.3
@@ -58,6 +59,11 @@ def test_a_lost_sample_names_the_furthest_test_that_its_views_reached():
     assert found.cause.tolist() == [Cause.TOO_SHORT, 0, 0, Cause.INCIDENCE]
     found = trimmed(reached(outcome=(Cause.JOINT_LIMIT, Cause.COLLISION, Cause.OUT_OF_REACH)))
     assert found.cause.tolist() == [Cause.JOINT_LIMIT, Cause.JOINT_LIMIT, Cause.COLLISION, Cause.INCIDENCE]
+
+
+def test_the_result_is_the_one_of_this_version():
+    found = trimmed(reached((0, -0.02, 0.05), (0, -0.1, 0.1), outcome=(0, Cause.COLLISION, Cause.OUT_OF_REACH)))
+    check_golden(trim_measurability, rounded(found))
 
 
 def test_pieces_over_everything_change_nothing():

@@ -1,0 +1,60 @@
+"""One digest a stage: what its version gives on a small fixed input.
+
+The inputs leave no choice to the last bits of a float, and floats that a mathematics library may end differently on
+another processor are rounded before they are digested: see `rounded`.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from hashlib import sha256
+from typing import Any
+
+import numpy as np
+
+from schemas.artefact import Artefact, digest
+from schemas.stage import Stage
+
+GOLDENS: dict[str, tuple[int, str]] = {
+    "read_source": (1, "b6ae33fa167a3b3e1d236d4de7eabfd49dade7647210686ada40e53002bc5dbe"),
+    "assemble_cell": (2, "eb492a9c68096112e6fd92eee16c6cf5e7082d96015f64c720d00cc3730abf3c"),
+    "preprocess_mesh": (1, "c1f63ceb86a44e3f3b5ee4224b5465c094b5c90f5930b53a32955ecb42da9ce0"),
+    "place_surroundings": (1, "ff9b20ad74e406faf73484ef06ae1245db0e7416f753757c364659244f22daae"),
+    "find_overlaps": (1, "0119a153b20e6d090d8109699730d2e242743dce225346d0311433c276ba9f63"),
+    "sample_surface": (1, "2a78be2e07f5febdf513ab7005998f8ccb5f05d3cfc4ce6771c012ee16ca00ea"),
+    "sample_viewpoints": (1, "2ce67e79b1d033c459492d85ed0dfbc394fb0bbf6c118272faf86846dfeb4484"),
+    "measure_samples": (1, "8225f919363f6fb94f573b44c6c32cabb81422368ff18fd14817fac53cc4f546"),
+    "follow_sweeps": (2, "4a75635b842603fad7666edced22d7e3243975a8d8e238060ea81d756873ae4d"),
+    "trim_measurability": (1, "fc34e9f4df8fab27c944ffcace9b24856ae69ddec68165345195628859f7aa89"),
+    "select_views": (1, "b889aee5262390d7297c5c4eaf15496bb73845c8d2d9859699d7c3dd880d1ec4"),
+    "find_gaps": (1, "2027ec9675312584a728e186abefda5d4b70e1d889360852214219231cb95165"),
+    "extend_measurability": (1, "67139771e575fea954d00004cda067721e53b0f8367dbd9e4dee6c18f57bdece"),
+    "stitch_sweeps": (2, "dc5e036ea268f3eb3a852e35e18a1a115ac2a59b829f9b88975de6ab1dbaa861"),
+    "verify_plan": (3, "55546930fdd6f1ef5f2e8cd4e60e9c2acd03f9897fc396596d95d5225c5eb4ff"),
+    "simulate_scan": (1, "ae0ef57aa99e642122dd986c0044839e3e8721f849dc29db919c2b29980ee165"),
+    "measure_coverage": (1, "4c032b182440c593ac9519cf0e5dfc0dc4639c60e9ad47a1f0a1f31457b9330b"),
+    "record_plan": (1, "58fb758e2a08ffe81c15260ac94a51b219d92718cdc724106072bc9ab72fd9f5"),
+    "write_report": (3, "2422973581dbd8436244b3ce8b902519301033c3a3ba8b50d91ccad9ef9bd3d3"),
+    "explain_samples": (1, "03db89b69d6b66c6d1c7115f4e6aa7b39e3f8c429a4a4724f08cb1da535fb759"),
+    "fit_spheres": (1, "1c76809ebe46896e8ef7889b1eaf6a66c007cca02f3c55ce9d48eaf4f3ea419d"),
+}
+"""Version and digest of every stage, of the artefacts together where a stage is tried on several inputs."""
+
+
+def check_golden(stage: Stage, *found: Artefact | str) -> None:
+    """Fail if the stage gives something else (artefacts, or their text) than its version did when it was stored."""
+    version, golden = GOLDENS[stage.name]
+    single = [sha256(one.encode()).hexdigest() if isinstance(one, str) else digest(one) for one in found]
+    together = single[0] if len(single) == 1 else sha256("".join(single).encode()).hexdigest()
+    assert version == stage.version, f"{stage.name} has version {stage.version}: store its digest {together}"
+    assert together == golden, f"the result changed to {together}: raise the version of {stage.name}"
+
+
+def rounded(artefact: Any, digits: int = 9, **changes: Any) -> Any:
+    """Return the artefact with all its arrays of doubles rounded (without negative zeros), and with some changes."""
+    doubles = {
+        field.name: np.round(value, digits) + 0.0
+        for field in dataclasses.fields(artefact)
+        if isinstance(value := getattr(artefact, field.name), np.ndarray) and value.dtype == np.float64
+    }
+    return dataclasses.replace(artefact, **(doubles | changes))
