@@ -53,6 +53,7 @@ KEYS = {
     "tool_acceleration_m_s2": "planner.stitching.tool_acceleration",
     "return_to_start": "planner.stitching.return_to_start",
     "radius_m": "planner.scan.coverage_radius",
+    "T_world_part": "part.pose.position",
 }
 """The cell file's key by the field of stage parameters that it fills; one name means one key in all stages."""
 
@@ -71,7 +72,12 @@ def with_keys(error: CellwrightError, cell: CellFile, stage: str = "") -> Cellwr
     if values:
         listed = "; ".join(f"{key} = {value}" for key, value in values.items())
         text = f"{text} (in {cell.path}: {listed})"
-    return error if text == str(error) else type(error)(text)
+    if text == str(error):
+        return error
+    told = type(error)(text)
+    for note in getattr(error, "__notes__", ()):
+        told.add_note(note)
+    return told
 
 
 def _values(cell: CellFile, key: str) -> Iterator[str]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -15,13 +16,18 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class CellSummary:
-    """A checked cell file, ready to be shown."""
+    """A checked cell file, ready to be shown; with its picture, if it was drawn, and what that has brought to light."""
 
     cell: CellFile
+    picture: Path | None = None
+    attention: tuple[str, ...] = ()
 
     def as_json(self) -> Mapping[str, Any]:
         """Return the whole cell, defaults filled in, in SI units."""
-        return {"valid": True, "file": str(self.cell.path), "cell": self.cell.model_dump(mode="json")}
+        plain = {"valid": True, "file": str(self.cell.path), "cell": self.cell.model_dump(mode="json")}
+        if self.picture is None:
+            return plain
+        return {**plain, "picture": str(self.picture), "attention": list(self.attention)}
 
     def show(self, console: Console) -> None:
         """Print what stands where."""
@@ -32,6 +38,10 @@ class CellSummary:
             table.add_row(name, text)
         console.print(f"{self.cell.path} is valid", markup=False, highlight=False)
         console.print(table, markup=False, highlight=False)
+        if self.picture is not None:
+            console.print(f"picture: {self.picture}", markup=False, highlight=False, soft_wrap=True)
+        for finding in self.attention:
+            console.print(f"Attention: {finding}.", markup=False, highlight=False, soft_wrap=True)
 
     def _lines(self) -> Iterator[tuple[str, str]]:
         cell = self.cell

@@ -9,7 +9,6 @@ from __future__ import annotations
 import argparse
 import contextlib
 import os
-import signal
 import sys
 import threading
 from collections.abc import Mapping, Sequence
@@ -18,7 +17,15 @@ from typing import TYPE_CHECKING, Any, NoReturn, Protocol
 
 from cellwright.errors import CellwrightError
 from flows.interrupts import FAREWELL, INTERRUPTED, leave_now_if_busy, stopping_at_interrupt
-from flows.output import stderr_console, stdout_console, write_json
+from flows.output import (
+    prepare_streams,
+    run_writing,
+    stderr_console,
+    stdout_console,
+    try_json,
+    write_error,
+    write_json,
+)
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -38,6 +45,7 @@ exit codes:
   4  a numerical method stopped short
   5  the lake is missing something, damaged, or cannot be written
   130  interrupted
+  141  the reader of standard output went away, as `head` does
 """
 
 
@@ -53,29 +61,31 @@ class Summary(Protocol):
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code."""
-    options = parser().parse_args(arguments)
-    with stopping_at_interrupt() as ended:
-        return _run(options, ended)
+    prepare_streams()
+
+    def command() -> int:
+        options = parser().parse_args(arguments)
+        with stopping_at_interrupt() as ended:
+            return _run(options, ended)
+
+    return run_writing(command)
 
 
 def _run(options: argparse.Namespace, ended: threading.Event) -> int:
     try:
-        code = int(options.run(options))
-        sys.stdout.flush()
-        return code
+        return int(options.run(options))
     except CellwrightError as error:
-        sys.stderr.write(f"error: {error}\n")
+        notes = list(getattr(error, "__notes__", ()))
+        write_error("\n".join([f"error: {error}", *(f"note: {note}" for note in notes)]) + "\n")
         if getattr(options, "json", False):
             found = getattr(options, "findings", None)
             told = {} if found is None else {"findings": found.as_json()}
-            write_json({"error": str(error), "exit_code": error.exit_code, **told})
+            told |= {"notes": notes} if notes else {}
+            try_json({"error": str(error), "exit_code": error.exit_code, **told})
         return error.exit_code
-    except BrokenPipeError:  # the reader of our output went away, as `head` does
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 128 + signal.SIGPIPE
     except KeyboardInterrupt:
         ended.set()
-        sys.stderr.write(FAREWELL)
+        write_error(FAREWELL)
         leave_now_if_busy(INTERRUPTED)
         return INTERRUPTED
 
@@ -99,6 +109,10 @@ def parser() -> argparse.ArgumentParser:
 def default_lake() -> str:
     """Return the lake that is used without ``--lake``: ``CELLWRIGHT_LAKE``, else the folder ``lake`` here."""
     return os.environ.get("CELLWRIGHT_LAKE") or "lake"
+
+
+def _lake_of(options: argparse.Namespace) -> str:
+    return default_lake() if options.lake is None else str(options.lake)  # an empty one is refused, not replaced
 
 
 class _Parser(argparse.ArgumentParser):
@@ -149,10 +163,17 @@ def _add_validate(commands: Any) -> None:
         "validate",
         help="check a cell file and show what it says",
         description="Check a cell file without planning anything, and show what stands in the cell.",
-        epilog="example:\n  cellwright validate cell.yaml --set part.unit=in\n",
+        epilog="examples:\n  cellwright validate cell.yaml --set part.unit=in\n"
+        "  cellwright validate cell.yaml --picture cell.png\n",
     )
     command.add_argument("cell", metavar="CELL.yaml", help="the cell file, or the name of a built-in example")
     _add_set(command)
+    command.add_argument(
+        "--picture",
+        type=Path,
+        metavar="FILE.png",
+        help="draw the cell, and tell what collides at the start or overlaps",
+    )
     command.add_argument("--json", action="store_true", help="print the whole cell as JSON, in SI units")
     command.set_defaults(run=_validate)
 
@@ -179,6 +200,10 @@ def _add_lake(commands: Any) -> None:
         )
         if argument:
             command.add_argument("subject", metavar=argument.upper())
+        if action == "verify":
+            command.add_argument(
+                "--repair", action="store_true", help="set aside what is damaged, so that the next run makes it anew"
+            )
         if action == "gc":
             command.add_argument("--yes", action="store_true", help="delete it; without this only say what would go")
             command.add_argument(
@@ -293,7 +318,7 @@ def _run_flow(module: str, options: argparse.Namespace, *arguments: Any, **keywo
         summary: Summary = import_module(f"flows.{module}").run(
             *arguments,
             **keywords,
-            lake=options.lake or default_lake(),
+            lake=_lake_of(options),
             refresh=frozenset(options.refresh),
             out=options.out,
             watcher=watcher,
@@ -316,7 +341,14 @@ def _validate(options: argparse.Namespace) -> int:
     from schemas.cell_file import load_cell_file
 
     cell = load_cell_file(find_cell_file(options.cell), options.overrides)
-    _print(CellSummary(cell), as_json=options.json)
+    if options.picture is None:
+        _print(CellSummary(cell), as_json=options.json)
+        return 0
+    from flows.caches import use_own_caches
+    from flows.cell_picture import draw_cell
+
+    use_own_caches()
+    _print(CellSummary(cell, options.picture, tuple(draw_cell(cell, options.picture))), as_json=options.json)
     return 0
 
 
@@ -325,10 +357,11 @@ def _lake(options: argparse.Namespace) -> int:
 
     return lake_commands.run(
         options.action,
-        options.lake or default_lake(),
+        _lake_of(options),
         subject=options.subject,
         delete=getattr(options, "yes", False),
         keep_runs=getattr(options, "keep_runs", None),
+        repair=getattr(options, "repair", False),
         as_json=options.json,
     )
 

@@ -190,6 +190,7 @@ def run_in_lake(
         LakeError: If the lake fails or an input is damaged.
         CellwrightError: Whatever the stage itself raises on purpose.
     """
+    from flows.versions import versions
     from storage.manifests import Recipe
 
     watcher, name, asked = WATCHER.get(), name or stage.name, time.monotonic()
@@ -203,7 +204,8 @@ def run_in_lake(
         begun = time.monotonic()
         artefact = _computed(stage, artefacts, checked, name)
         seconds = round(time.monotonic() - begun, 6)
-        return lake.publish(recipe.key, artefact, recipe, {"seconds": seconds, "host": platform.node(), "run": run_id})
+        made = {"seconds": seconds, "host": platform.node(), "run": run_id, "versions": versions()}
+        return lake.publish(recipe.key, artefact, recipe, made)
 
     try:
         checked, given = validated_params(stage, params), checked_inputs(stage, inputs)

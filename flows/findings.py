@@ -7,16 +7,17 @@ stopped each of them. Here it becomes a table on the terminal, a short page, a p
 from __future__ import annotations
 
 import base64
+import contextlib
 import json
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping, Set
+from dataclasses import dataclass, field, replace
 from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import tasks
 from cellwright.causes import Cause
-from cellwright.errors import CellwrightError
+from cellwright.errors import CellwrightError, InvalidInputError
 from flows.result_folder import write_files
 from schemas.references import Ref
 from tasks.explain_samples import ExplanationParams
@@ -36,7 +37,7 @@ _WORDS = {
 }
 
 _OF_A_PLAN = ("report.html", "plan.mcap", "trajectory.parquet", "segments.parquet", "scan.parquet")
-FILES = ("findings.html", "findings.json", "findings.png")
+FILES = ("findings.html", "findings.json", "findings.png", "findings_cell.png")
 
 
 @dataclass(frozen=True)
@@ -55,6 +56,7 @@ class Findings:
         overlaps: Bodies that stand in one another, in words.
         ref: The artefact that says it sample by sample.
         picture: The part, coloured by cause, as PNG bytes; empty if there is none.
+        cell_picture: The whole cell as PNG bytes; empty if it could not be built.
         earlier: Files of an earlier plan that stand in the folder still.
         files: Exported files by what they are.
     """
@@ -70,6 +72,7 @@ class Findings:
     overlaps: tuple[str, ...] = ()
     ref: Ref | None = None
     picture: bytes = b""
+    cell_picture: bytes = b""
     earlier: tuple[str, ...] = ()
     files: dict[str, Path] = field(default_factory=dict)
 
@@ -142,11 +145,17 @@ class Findings:
 def find_causes(step: Steps, request: InspectionRequest, lake: Lake, run_id: str, error: CellwrightError) -> Findings:
     """Ask the artefacts of a run that failed why it did; a second's work, and an artefact of its own.
 
-    Where the run did not come as far as the arm, or the lake cannot tell, the error is all there is.
+    Where the run did not come as far as the arm, the error is all there is. What goes wrong on the way is noted on the
+    error and hides nothing.
     """
     done = {record.name for record in step.done()}
-    overlaps = _overlaps(lake, _step(step, "find_overlaps").ref()) if "find_overlaps" in done else ()
-    known = Findings(request.name, run_id, step.failed(), str(error), error.exit_code, overlaps=overlaps)
+    known = Findings(request.name, run_id, step.failed(error), str(error), error.exit_code)
+    with noting(error, "drawing the cell"):
+        known = replace(known, cell_picture=_drawn_cell(request, done, known.stage))
+    if "find_overlaps" in done:
+        with noting(error, "looking for overlaps"):
+            overlaps: Any = lake.load(_step(step, "find_overlaps").ref())
+            known = replace(known, overlaps=tuple(overlaps.finding))
     names = {
         "mesh": "preprocess_mesh",
         "surroundings": "place_surroundings",
@@ -156,23 +165,24 @@ def find_causes(step: Steps, request: InspectionRequest, lake: Lake, run_id: str
     }
     if not done.issuperset(names.values()):
         return known
-    inputs = {what: _step(step, name) for what, name in names.items()}
-    selected = [record.name for record in step.done() if record.stage == "select_views"]
-    selection = _step(step, selected[-1]) if selected else None
-    params = ExplanationParams(**request.sensing.model_dump())
-    try:
+    with noting(error, "explaining it"):
+        inputs = {what: _step(step, name) for what, name in names.items()}
+        selected = [record.name for record in step.done() if record.stage == "select_views"]
+        selection = _step(step, selected[-1]) if selected else None
+        params = ExplanationParams(**request.sensing.model_dump())
         ref = step(tasks.explain_samples, params, label="", **inputs, selection=selection).ref()
-        return _counted(known, lake, ref, inputs["mesh"].ref(), inputs["samples"].ref())
-    except CellwrightError:
-        return known
+        known = _counted(known, lake, ref, inputs["mesh"].ref(), inputs["samples"].ref())
+    return known
 
 
-def _overlaps(lake: Lake, ref: Ref) -> tuple[str, ...]:
+@contextlib.contextmanager
+def noting(error: CellwrightError, doing: str) -> Iterator[None]:
+    """Write what fails inside down as a note of ``error``, which is what the person must see."""
     try:
-        found: Any = lake.load(ref)
-    except CellwrightError:
-        return ()
-    return tuple(found.finding)
+        yield
+    except Exception as failure:  # noqa: BLE001  # bugs too: none of them is worth more than the error it would hide
+        said = str(failure) if isinstance(failure, CellwrightError) else f"{type(failure).__name__}: {failure}"
+        error.add_note(f"{doing} failed: {said}")
 
 
 def _step(step: Steps, name: str) -> Step:
@@ -182,9 +192,18 @@ def _step(step: Steps, name: str) -> Step:
     return found
 
 
-def _counted(known: Findings, lake: Lake, ref: Ref, mesh_ref: Ref, samples_ref: Ref) -> Findings:
-    from dataclasses import replace
+def _drawn_cell(request: InspectionRequest, done: Set[str], failed: str) -> bytes:
+    """Return a picture of the cell, also where it was refused because bodies collide at the start; else nothing."""
+    from flows.cell_picture import picture_of
 
+    if "assemble_cell" not in done and failed != "assemble_cell":
+        return b""
+    with contextlib.suppress(InvalidInputError):  # what cannot be built cannot be seen, and is told already
+        return picture_of(request)
+    return b""
+
+
+def _counted(known: Findings, lake: Lake, ref: Ref, mesh_ref: Ref, samples_ref: Ref) -> Findings:
     import numpy as np
 
     from cellwright.figures.coverage_map import coverage_picture
@@ -220,24 +239,28 @@ def export(findings: Findings, folder: Path) -> Findings:
     Raises:
         InvalidInputError: If the folder cannot be written.
     """
-    from dataclasses import replace
-
     import jinja2
 
     named = {"findings": folder / FILES[0], "findings as JSON": folder / FILES[1]}
     if findings.picture:
         named["figure: findings"] = folder / FILES[2]
+    if findings.cell_picture:
+        named["figure: cell"] = folder / FILES[3]
     earlier = tuple(name for name in _OF_A_PLAN if (folder / name).exists())
     found = replace(findings, files=named, earlier=earlier)
     template = resources.files("flows").joinpath("templates/findings.html.j2").read_text("utf-8")
     environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined)
     page = environment.from_string(template).render(
-        findings=found, rows=found.rows(), picture=base64.b64encode(found.picture).decode()
+        findings=found,
+        rows=found.rows(),
+        picture=base64.b64encode(found.picture).decode(),
+        cell_picture=base64.b64encode(found.cell_picture).decode(),
     )
     contents = {
         FILES[0]: page.encode(),
         FILES[1]: json.dumps(found.as_json(), indent=2, sort_keys=True, ensure_ascii=False).encode() + b"\n",
         **({FILES[2]: found.picture} if found.picture else {}),
+        **({FILES[3]: found.cell_picture} if found.cell_picture else {}),
     }
     write_files(folder, contents)
     return found

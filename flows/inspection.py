@@ -13,24 +13,23 @@ from pathlib import Path
 from typing import Any
 
 import tasks
-from cellwright.cell.bodies import WORLD
-from cellwright.cell.part import resting_pose, top_height
-from cellwright.errors import CellwrightError, InfeasibleError, InvalidInputError, SolverError, listed
+from cellwright.errors import CellwrightError, InfeasibleError, InvalidInputError, SolverError
 from flows import findings
 from flows.caches import use_own_caches
 from flows.cell_keys import with_keys
+from flows.cell_picture import placed_part
 from flows.execution import Unwatched, Watcher, open_lake
 from flows.findings import Findings
 from flows.inspection_export import export
 from flows.inspection_result import InspectionResult
-from flows.requests import InspectionRequest, request_of
+from flows.requests import InspectionRequest, request_from
 from flows.result_folder import prepare_folder
 from flows.runner import Step, Steps
+from flows.selection_rounds import Candidates, Choice, close_gaps, connect_sweeps
 from schemas.cell_file import load_cell_file
 from schemas.cell_objects import build_cell
 from schemas.poses import Pose
 from storage.lake import Lake
-from tasks.stitch_sweeps import StitchParams
 
 PLANNING_STAGES = frozenset(
     {
@@ -52,9 +51,6 @@ def is_planning(step_name: str) -> bool:
     """Whether a step counts as planning: the cloud on which the result is judged does not."""
     return step_name.split()[0] in PLANNING_STAGES and step_name != "sample_surface verification"
 
-
-RESELECTIONS = 3
-"""Times that views are selected again without those that could not be executed or connected."""
 
 _WATCHER: ContextVar[Watcher | None] = ContextVar("inspection_watcher", default=None)
 FINDINGS: ContextVar[list[Findings] | None] = ContextVar("inspection_findings", default=None)
@@ -91,7 +87,8 @@ def run(
         LakeError: If the lake fails.
     """
     use_own_caches()
-    request = request_of(cell_file, overrides)
+    cell = load_cell_file(cell_file, overrides)  # once: it may be edited while the run goes on
+    request = request_from(cell)
     if out is not None:
         prepare_folder(out)
     found: list[Findings] = []
@@ -104,9 +101,9 @@ def run(
 
             result = inspect(request, lake, sorted(refresh))
     except CellwrightError as error:
-        told = with_keys(error, load_cell_file(cell_file, overrides), found[0].stage if found else "")
+        told = with_keys(error, cell, found[0].stage if found else "")
         if found:
-            _explain(replace(found[0], error=str(told)), out, explain)
+            _explain(replace(found[0], error=str(told)), told, out, explain)
         if told is error:
             raise
         raise told from error
@@ -119,11 +116,15 @@ def run(
     return result
 
 
-def _explain(found: Findings, out: Path | None, explain: Callable[[Findings], None] | None) -> None:
+def _explain(
+    found: Findings, error: CellwrightError, out: Path | None, explain: Callable[[Findings], None] | None
+) -> None:
     if out is not None:
-        found = findings.export(found, out)
+        with findings.noting(error, "writing the findings"):
+            found = findings.export(found, out)
     if explain is not None:
-        explain(found)
+        with findings.noting(error, "showing the findings"):
+            explain(found)
 
 
 def plan_and_record(
@@ -186,13 +187,10 @@ def plan_inspection(step: Steps, request: InspectionRequest, lake: Lake) -> dict
         reachability=reachability,
     )
     selection = step(tasks.select_views, request.cover, measurability=measurable)
-    selection, measurable = close_gaps(
-        step, request, lake, mesh, surroundings, viewpoints, reachability, measurable, selection
-    )
+    candidates = Candidates(cell, mesh, surroundings, viewpoints, reachability)
+    choice = close_gaps(step, request, lake, candidates, Choice(selection, measurable))
     stitching = request.stitching.model_copy(update=placed)
-    selection, trajectory = connect_sweeps(
-        step, request, stitching, lake, cell, mesh, viewpoints, reachability, measurable, selection
-    )
+    selection, trajectory = connect_sweeps(step, request, lake, candidates, choice, stitching)
     verification = step(
         tasks.verify_plan,
         request.verification.model_copy(update=placed),
@@ -233,7 +231,7 @@ def plan_inspection(step: Steps, request: InspectionRequest, lake: Lake) -> dict
     )
     report = step(
         tasks.write_report,
-        request.report,
+        request.report.model_copy(update=placed),
         mesh=mesh,
         cell=cell,
         cloud=cloud,
@@ -241,6 +239,7 @@ def plan_inspection(step: Steps, request: InspectionRequest, lake: Lake) -> dict
         coverage=coverage,
         viewpoints=viewpoints,
         reachability=reachability,
+        measurability=choice.measurable,
         selection=selection,
         trajectory=trajectory,
         verification=verification,
@@ -262,109 +261,6 @@ def plan_inspection(step: Steps, request: InspectionRequest, lake: Lake) -> dict
     }
 
 
-def close_gaps(
-    step: Steps,
-    request: InspectionRequest,
-    lake: Lake,
-    mesh: Step,
-    surroundings: Step,
-    viewpoints: Step,
-    reachability: Step,
-    measurable: Step,
-    selection: Step,
-) -> tuple[Step, Step]:
-    """Add what the selection misses between the samples to what must be covered, and select again, for some rounds.
-
-    Equally small selections differ in what they miss between the samples, so that a later round may miss more than an
-    earlier one: the selection with the fewest gaps is returned, the earliest of several, with what it was made from.
-    """
-    if request.refinement_rounds == 0:
-        return selection, measurable
-    cloud = step(tasks.sample_surface, request.refinement_cloud, label="refinement", mesh=mesh)
-    earlier: tuple[Step, ...] = ()
-    best, fewest = (selection, measurable), None
-    for number in range(1, request.refinement_rounds + 2):
-        gaps = step(
-            tasks.find_gaps,
-            request.gaps,
-            label=f"round {number}" if number <= request.refinement_rounds else "last",
-            mesh=mesh,
-            surroundings=surroundings,
-            cloud=cloud,
-            viewpoints=viewpoints,
-            reachability=reachability,
-            selection=selection,
-            earlier=earlier,
-        )
-        found: Any = lake.load(gaps.ref())
-        if fewest is None or len(found.point) < fewest:
-            best, fewest = (selection, measurable), len(found.point)
-        if fewest == 0 or number > request.refinement_rounds:
-            break
-        measurable = step(
-            tasks.extend_measurability,
-            request.extension,
-            label=f"round {number}",
-            mesh=mesh,
-            surroundings=surroundings,
-            cloud=cloud,
-            gaps=gaps,
-            viewpoints=viewpoints,
-            measurability=measurable,
-            reachability=reachability,
-        )
-        selection = step(tasks.select_views, request.cover, label=f"round {number}", measurability=measurable)
-        earlier = (*earlier, gaps)
-    return best
-
-
-def connect_sweeps(
-    step: Steps,
-    request: InspectionRequest,
-    stitching: StitchParams,
-    lake: Lake,
-    cell: Step,
-    mesh: Step,
-    viewpoints: Step,
-    reachability: Step,
-    measurable: Step,
-    selection: Step,
-) -> tuple[Step, Step]:
-    """Stitch the selected sweeps; select again without those that had to be left out, for some rounds.
-
-    Returns the selection and its trajectory. What the last one still leaves out is a finding; a plan without any sweep
-    is an error.
-    """
-    earlier: Step | None = None
-    n_left_out = 0
-    for number in range(RESELECTIONS + 1):
-        label = f"round {number + 1}" if number else ""
-        if number:
-            selection = step(
-                tasks.select_views,
-                request.cover,
-                label=f"without unconnected, {label}",
-                measurability=measurable,
-                earlier=earlier,
-            )
-        trajectory = step(
-            tasks.stitch_sweeps,
-            stitching.model_copy(update={"min_sweeps": 1 if number == RESELECTIONS else 0}),
-            label=label,
-            cell=cell,
-            mesh=mesh,
-            viewpoints=viewpoints,
-            reachability=reachability,
-            selection=selection,
-            earlier=earlier,
-        )
-        found: Any = lake.load(trajectory.ref())
-        if len(found.left_out_view) == n_left_out:
-            break
-        earlier, n_left_out = trajectory, len(found.left_out_view)
-    return selection, trajectory
-
-
 def part_pose(request: InspectionRequest, lake: Lake, mesh: Step, cell: Step) -> Pose:
     """Return where the part stands: as written, or resting on the body that the cell file names.
 
@@ -375,12 +271,4 @@ def part_pose(request: InspectionRequest, lake: Lake, mesh: Step, cell: Step) ->
         return request.part_pose
     loaded: Any = lake.load(mesh.ref())
     model: Any = lake.load(cell.ref())
-    standing = {body.name: body for body in build_cell(model).bodies if body.parent == WORLD}
-    if request.rests_on not in standing:
-        raise InvalidInputError(
-            f"the part rests on {request.rests_on!r}, which does not stand in the cell: use one of {listed(standing)}"
-        )
-    support = standing[request.rests_on]
-    stated = request.part_pose.matrix()
-    top = top_height(support.shape, support.T_parent_body)
-    return Pose.of(resting_pose(loaded.vertices_m, stated[:3, :3], (stated[0, 3], stated[1, 3]), top))
+    return placed_part(request, loaded.vertices_m, build_cell(model).bodies)

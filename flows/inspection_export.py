@@ -38,7 +38,7 @@ def export(lake: Lake, result: InspectionResult, folder: Path) -> dict[str, Path
         "summary": ("summary.json", _summary(result)),
         **{f"figure: {name}": (f"{name}.png", picture) for name, picture in result.pictures().items()},
     }
-    write_files(folder, dict(contents.values()))
+    write_files(folder, dict(contents.values()), mark=contents["summary"][0])
     return {what: folder / name for what, (name, _) in contents.items()}
 
 

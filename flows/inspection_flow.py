@@ -8,6 +8,7 @@ from prefect import flow, runtime
 from prefect.artifacts import create_image_artifact, create_markdown_artifact, create_table_artifact
 
 from cellwright.errors import CellwrightError
+from flows.findings import noting
 from flows.inspection import FINDINGS, plan_and_record
 from flows.inspection_result import InspectionResult
 from flows.requests import InspectionRequest
@@ -22,9 +23,10 @@ def inspect(request: InspectionRequest, lake: str, refresh: list[str] | None = N
     found = [] if given is None else given
     try:
         result = plan_and_record(request, lake, frozenset(refresh or ()), run_id=run_id, direct=False, found=found)
-    except CellwrightError:
+    except CellwrightError as error:
         for each in found:
-            create_markdown_artifact(each.as_markdown(), key="inspection-findings", description=request.name)
+            with noting(error, "showing the findings in Prefect"):
+                create_markdown_artifact(each.as_markdown(), key="inspection-findings", description=request.name)
         raise
     create_markdown_artifact(result.as_markdown(), key="inspection-summary", description=request.name)
     create_table_artifact(result.coverage_rows(), key="inspection-coverage", description="Coverage by cause")

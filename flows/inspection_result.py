@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from flows.requests import InspectionRequest
 from flows.run_record import StepRecord
 from flows.runner import Step
+from schemas.inspection_summary import cover_words
 from schemas.references import Ref
 from schemas.report import InspectionReport
 from storage.lake import Lake
@@ -92,19 +93,16 @@ class InspectionResult:
     def rows(self) -> list[tuple[str, str]]:
         """Return the summary as pairs of label and value."""
         figures = self.summary
-        proof = (
-            "proven fewest" if figures["sweeps_proven_fewest"] else f"lower bound {figures['sweeps_lower_bound']:.2f}"
-        )
         median = figures["uncertainty_median_m"]
         return [
             ("surface measured", f"{figures['coverage']:.2%}"),
             ("of what any sweep can measure", f"{figures['coverage_of_coverable']:.2%}"),
             ("candidate sweeps", f"{figures['candidates']:,}"),
-            ("selected sweeps", f"{figures['sweeps']} ({proof}; greedy {figures['greedy_sweeps']})"),
+            ("selected sweeps", f"{figures['sweeps']} ({cover_words(figures)}; greedy {figures['greedy_sweeps']})"),
             ("median uncertainty", "–" if median is None else f"{1e6 * median:.1f} µm"),
             ("cycle time", f"{figures['duration_s']:.2f} s ({figures['scanning_s']:.2f} s scanning)"),
             *((f"order: {name}", f"{seconds:.2f} s") for name, seconds in figures["orders_s"].items()),
-            *([("no order takes less than", _order_words(figures))] if figures["order_lower_bound_s"] > 0.0 else []),
+            *([("order: lower bound", _order_words(figures))] if figures["order_lower_bound_s"] > 0.0 else []),
             ("scan points", f"{figures['scan_points']:,}"),
             ("verified states", f"{figures['verified_states']:,} by {figures['verified_by']}"),
             ("least distance", _distance_words(figures)),
@@ -125,6 +123,7 @@ class InspectionResult:
     def pictures(self) -> dict[str, bytes]:
         """Return the report's figures as PNG bytes by name."""
         return {
+            "cell": self.report.cell_png,
             "coverage": self.report.coverage_png,
             "uncertainty": self.report.uncertainty_png,
             "plan": self.report.plan_png,
@@ -133,7 +132,7 @@ class InspectionResult:
 
 def _order_words(figures: Mapping[str, Any]) -> str:
     proven = " (proven shortest)" if figures["order_proven_shortest"] else ""
-    return f"{figures['order_lower_bound_s']:.2f} s{proven}"
+    return f"{figures['order_lower_bound_s']:.2f} s over the connections found{proven}"
 
 
 def _overlap_row(overlap: Mapping[str, Any]) -> tuple[str, str]:

@@ -8,8 +8,8 @@ from collections import Counter
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
-from cellwright.errors import LakeError
-from flows.output import print_table, write_json
+from cellwright.errors import InvalidInputError, LakeError
+from flows.output import print_table, write_error, write_json
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -22,17 +22,26 @@ _MOST_FACT_LETTERS = 200
 
 
 def run(
-    action: str, url: str, *, subject: str | None, delete: bool, as_json: bool, keep_runs: int | None = None
+    action: str,
+    url: str,
+    *,
+    subject: str | None,
+    delete: bool,
+    as_json: bool,
+    keep_runs: int | None = None,
+    repair: bool = False,
 ) -> int:
     """Run one of the ``lake`` commands and return its exit code.
 
     Raises:
-        InvalidInputError: If the subject names no artefact or is no valid SQL.
+        InvalidInputError: If there is no lake at the address, or the subject names no artefact or is no valid SQL.
         LakeError: If the lake cannot be read.
     """
     from storage.lake import Lake
 
     lake = Lake(url)
+    if not lake.place.exists():
+        raise InvalidInputError(lake.emptiness())
     if action == "ls":
         return _ls(lake, as_json)
     if action == "runs":
@@ -44,7 +53,7 @@ def run(
     if action == "sql":
         return _sql(lake, str(subject), as_json)
     if action == "verify":
-        return _verify(lake, as_json)
+        return _verify(lake, repair, as_json)
     return _gc(lake, delete, keep_runs, as_json)
 
 
@@ -71,12 +80,16 @@ def _ls(lake: Lake, as_json: bool) -> int:
 def _runs(lake: Lake, as_json: bool) -> int:
     from flows.run_record import state_of
 
+    broken = lake.broken_runs()
+    for problem in broken:
+        write_error(f"warning: {problem}\n")
     records = [{**record, "state": state_of(record)} for record in reversed(lake.runs())]
     if as_json:
         write_json(records)
         return 0
     if not records:
-        sys.stdout.write(f"no run is recorded in {lake.url}\n")
+        unread = f", but {len(broken)} records cannot be read" if broken else ""
+        sys.stdout.write(f"no run is recorded in {lake.url}{unread}\n")
         return 0
     table = _table("run", "flow", "cell", "last heard of (UTC)", "state", "computed", "cached", "why")
     for record in records:
@@ -182,17 +195,22 @@ def _sql(lake: Lake, query: str, as_json: bool) -> int:
     return 0
 
 
-def _verify(lake: Lake, as_json: bool) -> int:
-    problems = lake.verify()
+def _verify(lake: Lake, repair: bool, as_json: bool) -> int:
     n_artefacts = sum(1 for _ in lake.manifests())
+    problems = lake.verify()
+    stay = lake.repair(problems) if repair else problems
     if as_json:
         found = [{"address": problem.address, "fact": problem.fact} for problem in problems]
-        write_json({"artefacts": n_artefacts, "problems": found})
+        aside = {"set_aside": len(problems) - len(stay)} if repair else {}
+        write_json({"artefacts": n_artefacts, "problems": found, **aside})
     else:
         for problem in problems:
-            sys.stdout.write(f"{problem}\n")
-        sys.stdout.write(f"{n_artefacts} artefacts checked, {len(problems)} problems\n")
-    return LakeError.exit_code if problems else 0
+            sys.stdout.write(f"{problem.address}: {problem.fact.partition(': ')[0]}\n" if repair else f"{problem}\n")
+        done = f", {len(problems) - len(stay)} set aside: run again to make anew what is needed" if repair else ""
+        sys.stdout.write(f"{n_artefacts} artefacts checked, {len(problems)} problems{done if problems else ''}\n")
+        if not n_artefacts and not problems:
+            sys.stdout.write(f"{lake.emptiness()}\n")
+    return LakeError.exit_code if stay else 0
 
 
 def _gc(lake: Lake, delete: bool, keep_runs: int | None, as_json: bool) -> int:
@@ -295,8 +313,12 @@ def _collisions(artefact: Artefact) -> dict[str, int]:
 
 def _findings(artefact: Artefact) -> list[str]:
     """Return what an artefact has to say in words: of a part's mesh, of overlaps, of sweeps that a plan leaves out."""
-    left_out = zip(getattr(artefact, "left_out_view", ()), getattr(artefact, "left_out_reason", ()))
-    return [*getattr(artefact, "finding", ()), *(f"view {view} is left out: {reason}" for view, reason in left_out)]
+    aside = [
+        f"view {view} is {what}: {reason}"
+        for what, name in (("left out", "left_out"), ("replaced by others", "replaced"))
+        for view, reason in zip(getattr(artefact, f"{name}_view", ()), getattr(artefact, f"{name}_reason", ()))
+    ]
+    return [*getattr(artefact, "finding", ()), *aside]
 
 
 def _table(*columns: str) -> Table:

@@ -42,7 +42,7 @@ class PlainProgress:
 
     def say(self, line: str) -> None:
         """Write one line."""
-        with self._lock:
+        with self._lock, contextlib.suppress(OSError):  # nobody reads it any more: no reason to stop the work
             self._stream.write(f"{line}\n")
             self._stream.flush()
 

@@ -83,14 +83,24 @@ def request_of(path: Path, overrides: Sequence[str] = ()) -> InspectionRequest:
     Raises:
         InvalidInputError: If the cell file, or a file that it names, is malformed or missing.
     """
-    file = load_cell_file(path, overrides)
+    return request_from(load_cell_file(path, overrides))
+
+
+def request_from(file: CellFile) -> InspectionRequest:
+    """Return the request that a cell file makes.
+
+    Raises:
+        InvalidInputError: If a file that it names is malformed or missing, or a stage does not take a value.
+    """
     try:
         return _request(file)
     except ValidationError as error:  # a stage is stricter than the cell file
         faults = [
             f"{'.'.join(map(str, fault['loc']))}: {fault['msg']} (got {fault['input']!r})" for fault in error.errors()
         ]
-        raise InvalidInputError(f"{path}: {error.title} does not take {listed(faults)}: change the value") from error
+        raise InvalidInputError(
+            f"{file.path}: {error.title} does not take {listed(faults)}: change the value"
+        ) from error
 
 
 def _request(file: CellFile) -> InspectionRequest:
@@ -175,6 +185,7 @@ def _request(file: CellFile) -> InspectionRequest:
             title=planner.report.title or file.name,
             notes=planner.report.notes or "",
             max_uncertainty_m=sensing.max_uncertainty_m,
+            scanner=sensing.scanner,
             template_sha256=template_digest(),
         ),
     )

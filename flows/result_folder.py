@@ -1,12 +1,15 @@
-"""The folder that a person wants results in: checked before anything is computed, filled file by file.
+"""The folder that a person wants results in: checked before anything is computed, filled all at once.
 
-Each file is written beside its place and renamed, so that a reader never sees half of one.
+Every file is written beside its place first, and only when all are there they are renamed: a reader never sees half
+of one, and a disk that fills up leaves the folder as it was. The renames are many, so one file is the mark: it goes
+before the first of them and comes back with the last. A folder that has it holds the results of one run.
 """
 
 from __future__ import annotations
 
+import contextlib
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from cellwright.errors import InvalidInputError
@@ -27,28 +30,46 @@ def prepare_folder(folder: Path) -> None:
         raise _refusal(folder, error) from error
 
 
-def write_files(folder: Path, contents: Mapping[str, bytes]) -> None:
+def write_files(folder: Path, contents: Mapping[str, bytes], *, mark: str | None = None) -> None:
     """Write files by their names into a folder, made if it is not there.
 
+    Args:
+        folder: The folder.
+        contents: What to write, by file name.
+        mark: The file that stands only beside all the others of the same call; ``None``: the last one.
+
     Raises:
-        InvalidInputError: If the folder cannot be written.
+        InvalidInputError: If the folder cannot be written; the error names the file that is in the way.
     """
+    last = mark or list(contents)[-1]
+    names = [*(name for name in contents if name != last), last]
+    beside = {name: folder / f".{name}.{os.getpid()}" for name in names}
+    at = folder
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        for name, content in contents.items():
-            _write(folder / name, content)
+        for name in names:
+            at = folder / name
+            if at.is_dir():
+                raise InvalidInputError(
+                    f"cannot write {at}: a folder of this name is in the way, nothing was changed: move it away or "
+                    "choose another --out"
+                )
+            beside[name].write_bytes(contents[name])
+        (folder / last).unlink(missing_ok=True)
+        for name in names:
+            at = folder / name
+            beside[name].replace(at)
     except OSError as error:
-        raise _refusal(folder, error) from error
-
-
-def _write(path: Path, content: bytes) -> None:
-    beside = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        beside.write_bytes(content)
-        beside.replace(path)
+        raise _refusal(at, error) from error
     finally:
-        beside.unlink(missing_ok=True)
+        _remove(beside.values())
 
 
-def _refusal(folder: Path, error: OSError) -> InvalidInputError:
-    return InvalidInputError(f"cannot write into {folder}: {error.strerror or error}: choose another --out")
+def _remove(paths: Iterable[Path]) -> None:
+    for path in paths:
+        with contextlib.suppress(OSError):  # a folder that has gone meanwhile must not hide why
+            path.unlink(missing_ok=True)
+
+
+def _refusal(path: Path, error: OSError) -> InvalidInputError:
+    return InvalidInputError(f"cannot write into {path}: {error.strerror or error}: choose another --out")

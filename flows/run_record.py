@@ -67,6 +67,7 @@ class RunRecord:
         self._run_id = run_id
         self._facts = dict(facts)
         self._steps: dict[str, StepRecord] = {}
+        self._state: dict[str, str] = {"state": "running"}
         self._lock = threading.Lock()
 
     def begin(self) -> None:
@@ -76,17 +77,20 @@ class RunRecord:
             LakeError: If the lake cannot be written.
         """
         self._facts |= {"host": platform.node(), "process": os.getpid(), "process_started": _start_of(os.getpid())}
-        self._write("running")
+        self._write()
 
     def add(self, name: str, stage: Stage, outcome: Outcome) -> None:
-        """Take down a step that ended well; the record is written again if the step cost something."""
+        """Take down a step that ended well; the record is written again if the step cost something.
+
+        A step may end after the run has: the record then keeps what became of the run.
+        """
         with self._lock:
             self._steps[name] = StepRecord(
                 name, stage.name, stage.version, outcome.ref, outcome.cached, outcome.seconds
             )
             if not outcome.cached:
                 with contextlib.suppress(LakeError):  # the last write tells; a lost one in between does no harm
-                    self._write("running")
+                    self._write()
 
     def of(self, name: str) -> StepRecord | None:
         """Return a step by its name, if it ended well in this process."""
@@ -105,19 +109,22 @@ class RunRecord:
         """
         with self._lock:
             self._steps = {step.name: step for step in steps}
-            self._write("finished")
+            self._state = {"state": "finished"}
+            self._write()
 
     def fail(self, error: BaseException, step: str = "") -> None:
         """Write down how the run ended; a lake that cannot be written must not hide the error that ended it."""
         interrupted = not isinstance(error, Exception)  # Ctrl-C, a cancelled flow, the process told to leave
         said = str(error) if isinstance(error, CellwrightError) else f"{type(error).__name__}: {error}".rstrip(": ")
+        ended = {"state": "interrupted"} if interrupted else {"state": "failed", "error": said, "failed_step": step}
         with self._lock, contextlib.suppress(LakeError):
-            self._write(*(("interrupted", {}) if interrupted else ("failed", {"error": said, "failed_step": step})))
+            self._state = ended
+            self._write()
 
-    def _write(self, state: str, more: Mapping[str, Any] | None = None) -> None:
+    def _write(self) -> None:
         if self._lake is not None:
             steps = [step.as_json() for step in self._steps.values()]
-            self._lake.record_run(self._run_id, {**self._facts, "state": state, **(more or {}), "steps": steps})
+            self._lake.record_run(self._run_id, {**self._facts, **self._state, "steps": steps})
 
 
 def state_of(record: Mapping[str, Any]) -> str:

@@ -59,6 +59,7 @@ class Step:
         self._future: PrefectFuture[Ref] | None = None
         self._outcome: Outcome | None = None
         self._ref: Ref | None = None
+        self._failure: Exception | None = None
 
     def __repr__(self) -> str:
         return f"Step({self.name})"
@@ -81,11 +82,18 @@ class Step:
             return self._outcome.ref
         if self._future is None:
             raise RuntimeError(f"step {self.name} was never started")
-        return self._future.result()
+        try:
+            return self._future.result()
+        except Exception as error:
+            self._failure = error
+            raise
 
 
 class Steps:
-    """Runs the stages of one flow run against one lake. Use as a context manager: leaving it waits for every step.
+    """Runs the stages of one flow run against one lake, as a context manager.
+
+    Leaving it waits for every step. Leaving it by an error waits for none: steps under way go on until the flow's
+    task runner ends, and what they make still comes onto the record of the run, which has failed by then.
 
     Args:
         lake_url: Folder or object-store address of the lake.
@@ -115,11 +123,12 @@ class Steps:
             stage_named(name)
         self._lake_url = lake_url
         self._refresh = frozenset(refresh)
-        self._watcher = _Failures(watcher or Unwatched())
+        self._watcher = watcher or Unwatched()
         self._direct = direct
         self._run_id = run_id
         self._record = RunRecord(open_lake(lake_url) if run_id else None, run_id, facts or {})
         self._steps: dict[str, Step] = {}
+        self._refused: list[Step] = []
 
     def __enter__(self) -> Self:
         self._record.begin()
@@ -132,19 +141,19 @@ class Steps:
             try:
                 records = self.records()
             except BaseException as failure:
-                self._record.fail(failure, self.failed())
+                self._record.fail(failure, self.failed(failure))
                 raise
             self._record.finish(records)
         else:
-            self._record.fail(error, self.failed())
+            self._record.fail(error, self.failed(error))
 
     def named(self, name: str) -> Step | None:
         """Return a step of this run by its name, ``None`` if it was not started."""
         return self._steps.get(name)
 
-    def failed(self) -> str:
-        """Return the name of the first step that failed, empty if none has."""
-        return self._watcher.first
+    def failed(self, error: BaseException) -> str:
+        """Return the name of the step that raised an error, empty if it came from none."""
+        return next((each.name for each in (*self._steps.values(), *self._refused) if each._failure is error), "")
 
     def done(self) -> list[StepRecord]:
         """Return what is known to have ended well so far, whatever became of the rest."""
@@ -173,11 +182,16 @@ class Steps:
             if self._direct:
                 ready = {name: _each(given, _ready) for name, given in inputs.items()}
                 lake = open_lake(self._lake_url)
-                step._outcome = run_patiently(
-                    lambda: run_in_lake(
-                        stage, lake, checked, ready, name=step.name, refresh=refresh, run_id=self._run_id
+                try:
+                    step._outcome = run_patiently(
+                        lambda: run_in_lake(
+                            stage, lake, checked, ready, name=step.name, refresh=refresh, run_id=self._run_id
+                        )
                     )
-                )
+                except Exception as error:
+                    step._failure = error
+                    self._refused.append(step)
+                    raise
             else:
                 from flows.stage_task import task_for
 
@@ -218,27 +232,6 @@ class Steps:
             count += 1
             name = f"{wanted} {count}"
         return name
-
-
-class _Failures:
-    """Passes everything on to the run's own watcher and keeps which step failed first."""
-
-    def __init__(self, watcher: Watcher) -> None:
-        self._watcher = watcher
-        self.first = ""
-
-    def started(self, name: str) -> None:
-        self._watcher.started(name)
-
-    def advanced(self, name: str, share: float) -> None:
-        self._watcher.advanced(name, share)
-
-    def finished(self, name: str, *, cached: bool, seconds: float) -> None:
-        self._watcher.finished(name, cached=cached, seconds=seconds)
-
-    def failed(self, name: str) -> None:
-        self.first = self.first or name
-        self._watcher.failed(name)
 
 
 def _members(given: Any) -> tuple[Any, ...]:

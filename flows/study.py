@@ -163,5 +163,5 @@ def _write(study: StudyFile, rows: list[dict[str, Any]], folder: Path) -> dict[s
             log=figure.scale == "log",
             factor=figure.factor,
         )
-    write_files(folder, contents)
+    write_files(folder, contents, mark="table.parquet")
     return {what: folder / name for what, name in names.items()}

@@ -25,13 +25,13 @@ from schemas.cell_file_fields import (
     Aperture,
     BodySection,
     BoxSection,
-    Factor,
     Folder,
     Frequency,
     Incidence,
     MeshFile,
     PoseSection,
     PositiveLength,
+    Scale,
     Section,
     TableSection,
     Text,
@@ -44,6 +44,7 @@ from schemas.cell_file_fields import (
 )
 from schemas.cell_file_messages import did_you_mean, faults_of, refusal
 from schemas.cell_file_planner import PlannerSection
+from schemas.cell_file_robot import robot_faults
 from schemas.scanner import ScannerParams
 
 FORMAT = 1
@@ -214,7 +215,7 @@ class PartSection(Section):
 
     file: MeshFile = Field(description="STL, PLY, OBJ, 3MF or STEP file.", examples=["part.stl"])
     unit: Unit | None = Field(default=None, description="Unit of the file; STEP and 3MF carry their own, else mm.")
-    scale: Factor = Field(default=1.0, description="Factor on the size.")
+    scale: Scale = Field(default=1.0, description="Factor on the size.")
     pose: PoseSection = Field(default=PoseSection(), description="Pose of the part's frame in the world.")
     rests_on: Text | None = Field(
         default=None,
@@ -293,19 +294,8 @@ def load_cell_file(path: Path | str, overrides: Sequence[str] = ()) -> CellFile:
 def _disagreements(cell: CellFile, document: Document) -> list[tuple[Location, str]]:
     """Find values that are sound by themselves but do not go together."""
     faults: list[tuple[Location, str]] = []
-    n_joints = BUILT_IN_ROBOTS.get(cell.robot.model)
-    for key, values, may_be_one in (
-        ("start", cell.robot.start_rad, False),
-        ("lower", cell.robot.lower_rad, True),
-        ("upper", cell.robot.upper_rad, True),
-        ("max_velocity", cell.robot.max_velocity_rad_s, True),
-        ("max_acceleration", cell.robot.max_acceleration_rad_s2, True),
-    ):
-        if values is None or n_joints is None or len(values) == n_joints or (may_be_one and len(values) == 1):
-            continue
-        faults.append(
-            (("robot", key), f"has {len(values)} entries but {cell.robot.model} has {n_joints} joints: write one each")
-        )
+    bodies = [(location, body.name) for location, body in _located_bodies(cell)]
+    faults += robot_faults(cell.robot, bodies, cell.may_touch)
     for where, pose in ((("robot", "base"), cell.robot.base), (("scanner", "mount"), cell.scanner.mount)):
         if len(pose.position_m) != 3:
             faults.append(((*where, "position"), "has 2 entries but needs 3: write [x, y, z]"))

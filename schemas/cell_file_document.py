@@ -70,15 +70,15 @@ class Document:
         return here
 
 
-def read_document(path: Path) -> Document:
-    """Read a cell file.
+def read_document(path: Path, kind: str = "cell file", first_line: str = "cellwright: 1") -> Document:
+    """Read a cell file, or another ``kind`` of file in YAML; ``first_line`` is what such a file begins with.
 
     Raises:
         InvalidInputError: If the file is missing, unreadable, empty, or not plain YAML with unique text keys.
     """
     document = Document(path, {})
     try:
-        data = _parsed(_read_text(path), document)
+        data = _parsed(_read_text(path, kind), document)
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         where = f", line {mark.line + 1}" if mark else ""
@@ -87,14 +87,14 @@ def read_document(path: Path) -> Document:
         ) from error
     except yaml.YAMLError as error:
         raise InvalidInputError(
-            f"{path} is not readable as YAML: it holds control characters: is it a cell file?"
+            f"{path} is not readable as YAML: it holds control characters: is it a {kind}?"
         ) from error
     except RecursionError as error:
         raise InvalidInputError(f"{path} is nested too deeply: flatten it to {_MAX_DEPTH} levels") from error
     if data is None:
-        raise InvalidInputError(f"{path} is empty: write a cell file, starting with `cellwright: 1`")
+        raise InvalidInputError(f"{path} is empty: write a {kind}, starting with `{first_line}`")
     if not isinstance(data, dict):
-        raise InvalidInputError(f"{path}, line 1: a cell file is a list of `key: value` lines, not {_shown(data)}")
+        raise InvalidInputError(f"{path}, line 1: a {kind} is a list of `key: value` lines, not {_shown(data)}")
     document.data = data
     return document
 
@@ -142,6 +142,12 @@ def _put(document: Document, text: str, segments: list[str], value: Any) -> None
                 del document.origins[old]
             document.origins[location] = text
             return
+        if isinstance(here, dict) and here.get(segment) is None and segments[number + 1].isdecimal():
+            named = ".".join(segments[: number + 1])
+            raise InvalidInputError(
+                f"--set {text}: {named} has no entries, so there is no {segments[number + 1]!r}: "
+                f"set the whole list, {named}=[...]"
+            )
         if isinstance(here, dict) and here.get(segment) is None:
             here[segment] = {}
             document.origins[location] = text
@@ -217,20 +223,24 @@ class _Builder:
         return built
 
 
-def _read_text(path: Path) -> str:
+def _read_text(path: Path, kind: str) -> str:
     try:
         if path.stat().st_size > _MAX_BYTES:
-            raise InvalidInputError(f"{path} is {path.stat().st_size / 1e6:.0f} MB long: is it a cell file?")
-        return path.read_bytes().decode("utf-8-sig")
+            raise InvalidInputError(f"{path} is {path.stat().st_size / 1e6:.0f} MB long: is it a {kind}?")
+        with path.open("rb") as file:  # a device has no size and may have no end
+            content = file.read(_MAX_BYTES + 1)
+        if len(content) > _MAX_BYTES:
+            raise InvalidInputError(f"{path} is more than {_MAX_BYTES / 1e6:.0f} MB long: is it a {kind}?")
+        return content.decode("utf-8-sig")
     except FileNotFoundError as error:
-        raise InvalidInputError(f"cell file {path} does not exist: check the path") from error
+        raise InvalidInputError(f"{kind} {path} does not exist: check the path") from error
     except IsADirectoryError as error:
-        raise InvalidInputError(f"cell file {path} is a folder: name the .yaml file in it") from error
+        raise InvalidInputError(f"{kind} {path} is a folder: name the .yaml file in it") from error
     except OSError as error:
-        raise InvalidInputError(f"cell file {path} cannot be read: {error.strerror or error}") from error
+        raise InvalidInputError(f"{kind} {path} cannot be read: {error.strerror or error}") from error
     except UnicodeDecodeError as error:
         raise InvalidInputError(
-            f"{path} is not a text file (byte {error.start} is not UTF-8): is it a cell file?"
+            f"{path} is not a text file (byte {error.start} is not UTF-8): is it a {kind}?"
         ) from error
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import stat
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -88,10 +89,12 @@ Length = Annotated[float, Quantity(quantities.LENGTH, least=-LONGEST_M, most=LON
 PositiveLength = Annotated[float, Quantity(quantities.LENGTH, above=0.0, most=LONGEST_M)]
 NonNegativeLength = Annotated[float, Quantity(quantities.LENGTH, least=0.0, most=LONGEST_M)]
 Uncertainty = Annotated[float, Quantity(quantities.FINE_LENGTH, least=0.0, most=LONGEST_M)]
+PositiveUncertainty = Annotated[float, Quantity(quantities.FINE_LENGTH, above=0.0, most=LONGEST_M)]
 Angle = Annotated[float, Quantity(quantities.ANGLE, least=-_LARGEST_ANGLE, most=_LARGEST_ANGLE)]
 AcuteAngle = Annotated[float, Quantity(quantities.ANGLE, least=0.0, most=math.radians(89.9))]
 Incidence = Annotated[float, Quantity(quantities.ANGLE, above=0.0, most=math.radians(89.9))]
-SmallAngle = Annotated[float, Quantity(quantities.ANGLE, above=0.0, most=math.radians(10.0))]
+# finer than these, the states of a motion no longer fit into memory
+SmallAngle = Annotated[float, Quantity(quantities.ANGLE, least=math.radians(0.05), most=math.radians(10.0))]
 Aperture = Annotated[float, Quantity(quantities.ANGLE, above=0.0, most=math.radians(170.0))]
 Tilt = Annotated[float, Quantity(quantities.ANGLE, least=math.radians(-89.0), most=math.radians(89.0))]
 Duration = Annotated[float, Quantity(quantities.TIME, above=0.0)]
@@ -101,9 +104,12 @@ Acceleration = Annotated[float, Quantity(quantities.ACCELERATION, least=1e-3)]
 AngularSpeed = Annotated[float, Quantity(quantities.ANGULAR_SPEED, least=math.radians(0.1))]
 AngularAcceleration = Annotated[float, Quantity(quantities.ANGULAR_ACCELERATION, least=math.radians(0.1))]
 Frequency = Annotated[float, Quantity(quantities.FREQUENCY, above=0.0, most=1e6)]
-Density = Annotated[float, Quantity(quantities.AREAL_DENSITY, above=0.0)]
+# a sample for each square of 10 um: finer than any scanner, and beyond what can be handled on the smallest part
+Density = Annotated[float, Quantity(quantities.AREAL_DENSITY, above=0.0, most=1e10)]
 Share = Annotated[float, Quantity(quantities.SHARE, above=0.0, most=1.0)]
 Factor = Annotated[float, Quantity(quantities.NUMBER, above=0.0)]
+Scale = Annotated[float, Quantity(quantities.NUMBER, above=0.0, most=1e9)]
+DensityFactor = Annotated[float, Quantity(quantities.NUMBER, above=0.0, most=1e6)]
 Number = Annotated[float, Quantity(quantities.NUMBER)]
 
 
@@ -122,7 +128,10 @@ def resolved(value: object, info: ValidationInfo) -> Path:
     if not isinstance(value, str | Path) or not str(value).strip():
         raise fault(f"{value!r} is not a path: write the path of a file")
     folder = Path((info.context or {}).get("folder", "."))
-    return folder / Path(value).expanduser()
+    try:
+        return folder / Path(value).expanduser()
+    except RuntimeError as error:  # ~somebody
+        raise fault(f"{value!r} names the home folder of somebody unknown here: write the whole path") from error
 
 
 def existing_file(path: Path, suffixes: tuple[str, ...]) -> Path:
@@ -130,12 +139,25 @@ def existing_file(path: Path, suffixes: tuple[str, ...]) -> Path:
     if path.suffix.lower() not in suffixes:
         shown = f"type {path.suffix!r}" if path.suffix else "no file type"
         raise fault(f"{str(path)!r} has {shown}: use one of {', '.join(suffixes)}")
-    if path.is_dir():
-        raise fault(f"{str(path)!r} is a folder: name the file in it")
-    if not path.is_file():
+    try:
+        kind = path.stat().st_mode
+    except (FileNotFoundError, NotADirectoryError) as error:
         near = "" if path.parent.is_dir() else f" (nor does the folder {path.parent})"
-        raise fault(f"{str(path)!r} does not exist{near}: paths are relative to the cell file")
+        raise fault(f"{str(path)!r} does not exist{near}: paths are relative to the cell file") from error
+    except (OSError, ValueError) as error:
+        raise fault(
+            f"{_cut(path)!r} cannot be opened ({getattr(error, 'strerror', None) or error}): check it"
+        ) from error
+    if stat.S_ISDIR(kind):
+        raise fault(f"{str(path)!r} is a folder: name the file in it")
+    if not stat.S_ISREG(kind):
+        raise fault(f"{str(path)!r} is not a regular file (a device or a pipe?): name a file")
     return path
+
+
+def _cut(path: Path) -> str:
+    text = str(path)
+    return text if len(text) <= 80 else f"{text[:77]}..."
 
 
 def _mesh_file(value: object, info: ValidationInfo) -> Path:
@@ -144,7 +166,11 @@ def _mesh_file(value: object, info: ValidationInfo) -> Path:
 
 def _folder(value: object, info: ValidationInfo) -> Path:
     path = resolved(value, info)
-    if not path.is_dir():
+    try:
+        is_folder = path.is_dir()
+    except OSError as error:
+        raise fault(f"{_cut(path)!r} cannot be opened ({error.strerror or error}): check it") from error
+    if not is_folder:
         raise fault(f"{str(path)!r} is no folder: paths are relative to the cell file")
     return path
 
@@ -235,7 +261,7 @@ class MeshSection(Section):
 
     file: MeshFile = Field(description="STL, PLY, OBJ, 3MF or STEP file.")
     unit: Unit | None = Field(default=None, description="Unit of the file; STEP and 3MF carry their own, else mm.")
-    scale: Factor = Field(default=1.0, description="Factor on the size.")
+    scale: Scale = Field(default=1.0, description="Factor on the size.")
 
 
 class BodySection(Section):

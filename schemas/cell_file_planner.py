@@ -16,10 +16,12 @@ from schemas.cell_file_fields import (
     AcuteAngle,
     Angle,
     Density,
+    DensityFactor,
     Duration,
     Factor,
     NonNegativeLength,
     PositiveLength,
+    PositiveUncertainty,
     Quantity,
     Section,
     Share,
@@ -27,7 +29,6 @@ from schemas.cell_file_fields import (
     Speed,
     Text,
     Tilt,
-    Uncertainty,
     WholeNumber,
     fault,
 )
@@ -67,7 +68,7 @@ class SamplingSection(Section):
 class RefinementSection(Section):
     """How are gaps between the samples found and closed while planning?"""
 
-    density_factor: Factor = Field(
+    density_factor: DensityFactor = Field(
         default=10.0, description="Density of the refinement cloud over that of the samples."
     )
     rounds: WholeNumber = Field(
@@ -78,7 +79,7 @@ class RefinementSection(Section):
 class VerificationCloudSection(Section):
     """On which points is the coverage measured in the end?"""
 
-    density_factor: Factor = Field(
+    density_factor: DensityFactor = Field(
         default=10.0, description="Density of the verification cloud, which no planning step sees."
     )
 
@@ -120,7 +121,7 @@ class ViewpointsSection(Section):
 class MeasurabilitySection(Section):
     """When does a sample count as measured?"""
 
-    max_uncertainty_m: Uncertainty = Field(
+    max_uncertainty_m: PositiveUncertainty = Field(
         default=100e-6, alias="max_uncertainty", description="Largest permitted uncertainty (paper: 100 um)."
     )
 
@@ -131,7 +132,7 @@ class ReachabilitySection(Section):
     step_m: Annotated[float, Quantity(quantities.LENGTH, least=1e-4, most=0.05)] = Field(
         default=0.005, alias="step", description="Largest distance of the checked poses on a sweep."
     )
-    margin_m: NonNegativeLength = Field(
+    margin_m: Annotated[float, Quantity(quantities.LENGTH, least=0.0, most=5.0)] = Field(
         default=0.030, alias="margin", description="Run-in and run-out beyond the outermost measured samples."
     )
     shortest_m: PositiveLength = Field(
@@ -139,7 +140,10 @@ class ReachabilitySection(Section):
     )
     scan_speed_m_s: Speed = Field(default=0.1, alias="scan_speed", description="Speed of the scanner on a sweep.")
     clearance_m: NonNegativeLength = Field(
-        default=0.005, alias="clearance", description="Distance kept between bodies while planning."
+        default=0.005,
+        alias="clearance",
+        description="Distance kept between bodies at the checked poses of a sweep and on connections; between those "
+        "poses at least 1 mm, or the clearance if that is less.",
     )
 
 
@@ -164,6 +168,15 @@ class SelectionSection(Section):
         alias="time_limit",
         description="Time limit of `exact` alone; where it strikes, the result is the machine's.",
     )
+
+    @model_validator(mode="after")
+    def _a_clock_for_exact_alone(self) -> Self:
+        if self.time_limit_s is not None and self.method != "exact":
+            raise fault(
+                f"time_limit is {self.time_limit_s:g} s but method {self.method} reads no clock: remove it, or write "
+                "method: exact"
+            )
+        return self
 
 
 class StitchingSection(Section):

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
 
+from cellwright.arrays import Int32Array
 from cellwright.causes import Cause
+from cellwright.errors import listed
 from schemas.motion import ScanCloud, Trajectory, Verification
 from schemas.overlaps import StandingOverlaps
 from schemas.part import PartMesh
-from schemas.views import Coverage, Reachability, Viewpoints, ViewSelection
+from schemas.plan_objects import covered_samples
+from schemas.views import Coverage, Measurability, Reachability, Viewpoints, ViewSelection
 
 METRICS = frozenset(
     {
@@ -29,8 +33,10 @@ METRICS = frozenset(
         "proven_distance_m",
         "scan_points",
         "scan_profiles",
+        "samples_not_connected",
         "scanning_s",
         "sweeps",
+        "sweeps_excluded",
         "sweeps_lower_bound",
         "sweeps_proven_fewest",
         "uncertainty_mean_m",
@@ -46,6 +52,7 @@ METRICS = frozenset(
 def summarise(
     mesh: PartMesh,
     viewpoints: Viewpoints,
+    measurability: Measurability,
     selection: ViewSelection,
     trajectory: Trajectory,
     scan: ScanCloud,
@@ -55,14 +62,17 @@ def summarise(
     overlaps: StandingOverlaps | None = None,
     reachability: Reachability | None = None,
 ) -> dict[str, Any]:
-    """Return the figures of a plan as plain JSON values, units in the names."""
+    """Return the figures of a plan as plain JSON values, units in the names.
+
+    ``measurability`` is what the selection was made from.
+    """
     summary = {
         "area_m2": float(mesh.areas_m2.sum()),
         "area_to_measure_m2": float(mesh.areas_m2[mesh.to_measure].sum()),
         "findings": list(mesh.finding),
         "overlaps": _overlap_figures(overlaps),
         "unsettled_sweeps": reachability.n_unsettled if reachability else None,
-        **_selection_figures(viewpoints, selection),
+        **_selection_figures(viewpoints, measurability, selection, trajectory),
         **_motion_figures(trajectory),
         "scan_points": len(scan.points_m),
         "scan_profiles": len(scan.time_s),
@@ -78,6 +88,13 @@ def _attention(summary: dict[str, Any]) -> list[str]:
     found += [
         f"the sweep of view {sweep['view']} is left out: {sweep['reason']}" for sweep in summary["left_out_sweeps"]
     ]
+    if summary["samples_not_connected"]:
+        replaced = listed(f"view {sweep['view']}: {sweep['reason']}" for sweep in summary["replaced_sweeps"])
+        count = summary["samples_not_connected"]
+        found.append(
+            f"{'1 sample is' if count == 1 else f'{count:,} samples are'} measured only by sweeps that cannot be "
+            f"executed or connected ({replaced})"
+        )
     if summary["unsettled_sweeps"]:
         found.append(
             f"{summary['unsettled_sweeps']:,} candidate sweeps may be executable further than the plan takes them to "
@@ -118,18 +135,22 @@ def blocking_bodies(coverage: Coverage) -> dict[str, int]:
     return {coverage.body[row]: int(count) for row, count in enumerate(np.bincount(rows)) if count}
 
 
-def _selection_figures(viewpoints: Viewpoints, selection: ViewSelection) -> dict[str, Any]:
+def _selection_figures(
+    viewpoints: Viewpoints, measurability: Measurability, selection: ViewSelection, trajectory: Trajectory
+) -> dict[str, Any]:
     # every planning sample has views of its own; the gaps that refinement appends behind them have none
     n_samples = int(viewpoints.sample.max(initial=-1)) + 1
-    is_covered = selection.cause[:n_samples] == Cause.NONE
+    is_covered = covered_samples(measurability, trajectory)[:n_samples]
     return {
         "candidates": len(viewpoints.sample),
         "sweeps": len(selection.view),
         "greedy_sweeps": len(selection.greedy_view),
         "sweeps_lower_bound": selection.lower_bound,
-        "sweeps_proven_fewest": selection.proven,
+        "sweeps_proven_fewest": selection.proven and selection.n_excluded == 0,
+        "sweeps_excluded": selection.n_excluded,
         "cover_method": selection.method,
         "coverage_of_samples": float(np.mean(is_covered)) if len(is_covered) else 0.0,
+        "samples_not_connected": int((selection.cause == Cause.NOT_CONNECTED).sum()),
     }
 
 
@@ -146,11 +167,22 @@ def _motion_figures(trajectory: Trajectory) -> dict[str, Any]:
         "order_lower_bound_s": trajectory.order_lower_bound_s,
         "order_proven_shortest": trajectory.order_proven,
         "executed_sweeps": int(is_sweep.sum()),
-        "left_out_sweeps": [
-            {"view": view, "reason": reason}
-            for view, reason in zip(trajectory.left_out_view.tolist(), trajectory.left_out_reason)
-        ],
+        "left_out_sweeps": _reasons(trajectory.left_out_view, trajectory.left_out_reason),
+        "replaced_sweeps": _reasons(trajectory.replaced_view, trajectory.replaced_reason),
     }
+
+
+def _reasons(views: Int32Array, reasons: tuple[str, ...]) -> list[dict[str, Any]]:
+    return [{"view": view, "reason": reason} for view, reason in zip(views.tolist(), reasons, strict=True)]
+
+
+def cover_words(summary: dict[str, Any]) -> str:
+    """Return in words how few sweeps there could be: proven, or at least so many, and of which candidates."""
+    if summary["sweeps_proven_fewest"]:
+        return "proven fewest"
+    at_least = f"at least {math.ceil(summary['sweeps_lower_bound'] - 1e-6)} needed"  # a bound may end a bit above
+    excluded = summary["sweeps_excluded"]
+    return f"{at_least} without the {excluded} that cannot be executed or connected" if excluded else at_least
 
 
 def _coverage_figures(coverage: Coverage) -> dict[str, Any]:

@@ -46,10 +46,14 @@ class Trajectory(Artefact):
     order_duration_s: FloatArray = column("Duration of the whole plan in that order", unit="s", table="orders")
     order_chosen: BoolArray = column("Whether this order is the plan", dtype="bool", table="orders")
     left_out_view: Int32Array = column(
-        "View that was selected, now or before, and cannot be executed or connected", dtype="int32", table="left_out"
+        "View that is selected and not executed: it cannot be executed or connected", dtype="int32", table="left_out"
     )
     left_out_reason: tuple[str, ...] = column("Why, with the amounts", dtype="str", table="left_out")
-    order_lower_bound_s: float = fact("No order of the executed sweeps over such connections is shorter", unit="s")
+    replaced_view: Int32Array = column(
+        "View that an earlier selection left out and this one does without", dtype="int32", table="replaced"
+    )
+    replaced_reason: tuple[str, ...] = column("Why it was left out", dtype="str", table="replaced")
+    order_lower_bound_s: float = fact("No order of the executed sweeps over the connections found is shorter", unit="s")
     order_proven: bool = fact("Whether the plan's order is proven shortest", dtype="bool")
 
 

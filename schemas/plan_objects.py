@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cellwright.arrays import FloatArray
+from cellwright.arrays import BoolArray, FloatArray
 from cellwright.cell.transforms import pose, rotation_from_quaternion
 from cellwright.errors import InvalidInputError
 from cellwright.solvers.planned_sweep import ExecutablePiece, PlannedSweep
 from schemas.motion import Trajectory
-from schemas.views import Reachability, Viewpoints, ViewSelection
+from schemas.views import Measurability, Reachability, Viewpoints, ViewSelection
 
 if TYPE_CHECKING:
     from cellwright.solvers.plan_verification import TimedPlan
@@ -66,15 +66,16 @@ def planned_sweeps(
 
 
 def trajectory_of(plan: StitchedPlan, selection: ViewSelection, earlier: Trajectory | None = None) -> Trajectory:
-    """Return the artefact of a stitched plan, with what it and ``earlier`` trajectories leave out.
+    """Return the artefact of a stitched plan, with what it leaves out and what it replaces of ``earlier`` ones.
 
     Times rise strictly: the state at which a connection and a sweep meet is stored once, as one of the sweep.
     """
-    left_out = {} if earlier is None else dict(zip(earlier.left_out_view.tolist(), earlier.left_out_reason))
-    left_out = {view: reason for view, reason in left_out.items() if view not in selection.view}
-    left_out |= {int(selection.view[sweep.sweep]): sweep.reason for sweep in plan.left_out}
+    before = {} if earlier is None else unconnected_views(earlier)
+    replaced = {view: reason for view, reason in before.items() if view not in selection.view}
+    left_out = {int(selection.view[sweep.sweep]): sweep.reason for sweep in plan.left_out}
+    aside = _aside_columns(left_out, replaced)
     if not plan.segments:
-        return _motionless(plan, left_out)
+        return _motionless(plan, aside)
     rows: dict[str, list[FloatArray]] = {name: [] for name in ("time", "q", "v", "a", "segment", "travel")}
     bounds = [0.0]
     for number, segment in enumerate(plan.segments):
@@ -109,13 +110,13 @@ def trajectory_of(plan: StitchedPlan, selection: ViewSelection, earlier: Traject
         order_method=tuple(plan.durations),
         order_duration_s=np.array(list(plan.durations.values())),
         order_chosen=np.array([name == plan.chosen for name in plan.durations]),
-        **_left_out_columns(left_out),
+        **aside,
         order_lower_bound_s=plan.lower_bound,
         order_proven=plan.proven,
     )
 
 
-def _motionless(plan: StitchedPlan, left_out: dict[int, str]) -> Trajectory:
+def _motionless(plan: StitchedPlan, aside: dict[str, Any]) -> Trajectory:
     """Return the trajectory of a plan that executes no sweep: no state, no segment."""
     none, whole = np.zeros(0), np.zeros(0, np.int32)
     rest = np.zeros((0, plan.n_joints))
@@ -136,18 +137,38 @@ def _motionless(plan: StitchedPlan, left_out: dict[int, str]) -> Trajectory:
         order_method=(),
         order_duration_s=none,
         order_chosen=np.zeros(0, bool),
-        **_left_out_columns(left_out),
+        **aside,
         order_lower_bound_s=0.0,
         order_proven=False,
     )
 
 
-def _left_out_columns(left_out: dict[int, str]) -> dict[str, Any]:
-    views = sorted(left_out)
+def _aside_columns(left_out: dict[int, str], replaced: dict[int, str]) -> dict[str, Any]:
     return {
-        "left_out_view": np.array(views, np.int32),
-        "left_out_reason": tuple(left_out[view] for view in views),
+        "left_out_view": np.array(sorted(left_out), np.int32),
+        "left_out_reason": tuple(left_out[view] for view in sorted(left_out)),
+        "replaced_view": np.array(sorted(replaced), np.int32),
+        "replaced_reason": tuple(replaced[view] for view in sorted(replaced)),
     }
+
+
+def unconnected_views(trajectory: Trajectory) -> dict[int, str]:
+    """Return why views could not be executed or connected: those left out, and those replaced before."""
+    return dict(
+        zip(
+            [*trajectory.replaced_view.tolist(), *trajectory.left_out_view.tolist()],
+            [*trajectory.replaced_reason, *trajectory.left_out_reason],
+            strict=True,
+        )
+    )
+
+
+def covered_samples(measurability: Measurability, trajectory: Trajectory) -> BoolArray:
+    """Return which samples the executed sweeps measure, (samples,)."""
+    covered = np.zeros(len(measurability.cause), bool)
+    executed = np.unique(trajectory.view[trajectory.view >= 0])
+    covered[measurability.sample[np.isin(measurability.view, executed)]] = True
+    return covered
 
 
 def executed_views(selection: ViewSelection, trajectory: Trajectory) -> ViewSelection:

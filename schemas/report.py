@@ -16,6 +16,7 @@ class InspectionReport(Artefact):
     KIND: ClassVar[str] = "inspection-report"
 
     page: bytes = blob("The report, one self-contained page", suffix=".html")
+    cell_png: bytes = blob("The whole cell with the robot at its start", suffix=".png")
     coverage_png: bytes = blob("Coverage map on the part", suffix=".png")
     uncertainty_png: bytes = blob("Histogram of the predicted uncertainty", suffix=".png")
     plan_png: bytes = blob("The plan over time: joints and segments", suffix=".png")

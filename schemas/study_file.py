@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import difflib
 import itertools
+import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,6 +26,8 @@ from schemas.inspection_summary import METRICS
 Settings = dict[str, Any]
 """Cell-file settings by their path: ``{planner.sampling.density: 0.005 /mm^2}``."""
 
+MOST_RUNS = 10_000
+"""More runs take months; a grid of that many is a slip."""
 
 COLUMNS = METRICS | {"planning_s", "cover_method", "order", "verified_by", "error"}
 """Columns of a study's table beside those of the axes; each stage adds ``STAGE [s]``, its seconds."""
@@ -84,7 +87,7 @@ def load_study_file(path: Path) -> StudyFile:
     Raises:
         InvalidInputError: If it is malformed; the message names file, field, value and mend.
     """
-    document = read_document(path)
+    document = read_document(path, "study file", "cellwright-study: 1")
     try:
         study = StudyFile.model_validate({**document.data, "__path__": path})
     except ValidationError as error:
@@ -101,6 +104,9 @@ def _disagreements(study: StudyFile) -> Iterator[str]:
             yield f"axes.{axis} has no points: add one or remove the axis"
         if axis in COLUMNS:
             yield f"axes.{axis} is named like a column of the table: choose another name"
+    n_runs = math.prod(len(points) for points in study.axes.values())
+    if n_runs > MOST_RUNS:
+        yield f"axes make {n_runs} runs, but a study has at most {MOST_RUNS}: remove points, or split it"
     for figure in study.figures:
         for role, named in (("x", figure.x), ("lines", figure.lines), ("panels", figure.panels)):
             if named is not None and named not in study.axes:

@@ -105,10 +105,13 @@ class ViewSelection(Artefact):
     )
     greedy_view: Int32Array = column("Views that the greedy method picks", dtype="int32", table="greedy")
     method: str = fact("greedy, search, tree or integer-program: which found the selection", dtype="str")
-    lower_bound: float = fact("Fewest sweeps that could do it, proven (not rounded)")
+    lower_bound: float = fact("Fewest sweeps that could do it without the excluded ones, proven (not rounded)")
     gap: float = fact("(selected - ceil(lower bound)) / selected")
-    proven: bool = fact("Whether the selection is proven smallest", dtype="bool")
+    proven: bool = fact("Whether the selection is proven smallest among those without excluded sweeps", dtype="bool")
     stopped_by: str = fact("optimality, work, nodes or time: what ended the search; empty if greedy", dtype="str")
+    n_excluded: int = fact(
+        "Sweeps that were no candidates, as they cannot be executed or connected", dtype="int64", default=0
+    )
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -130,7 +133,7 @@ class Coverage(Artefact):
 
     measured: BoolArray = column("Whether the scan measured the point", dtype="bool", table="points")
     coverable: BoolArray = column(
-        "Whether any executable candidate sweep could measure it", dtype="bool", table="points"
+        "Whether any executable candidate sweep could measure it, connected or not", dtype="bool", table="points"
     )
     cause: Int8Array = column("Why it was not measured, `Cause`; 0 if it was", dtype="int8", table="points")
     blocked_by: Int32Array = column(
@@ -147,4 +150,4 @@ class Coverage(Artefact):
     body: tuple[str, ...] = column("Names of the bodies in the cell", dtype="str", table="bodies")
     radius_m: float = fact("A point counts as measured with a scan point within this distance", unit="m")
     share_measured: float = fact("Measured share of all points to be measured")
-    share_of_coverable: float = fact("Measured share of the points that any candidate can measure")
+    share_of_coverable: float = fact("Measured share of the points that any executable candidate can measure")

@@ -14,7 +14,7 @@ import contextlib
 import datetime
 import json
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 from cellwright.errors import InvalidInputError, LakeError
@@ -35,6 +35,7 @@ from storage.manifests import (
     provenance_path,
 )
 from storage.places import Place, open_place
+from storage.records import Problem, plain_provenance, read_runs
 
 _RUN_ID = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,99}")
 
@@ -186,7 +187,8 @@ class Lake:
     def provenance(self, of: Ref | str) -> dict[str, Any] | None:
         """Return when, where and in which run an artefact was made, if that is recorded."""
         key = check_hash("key", of.key if isinstance(of, Ref) else of)
-        return self._json(provenance_path(key))
+        record = self._json(provenance_path(key))
+        return None if record is None else plain_provenance(record)[0]  # `verify` names what is left out
 
     def paths(self, ref: Ref) -> dict[str, str]:
         """Return the full path or URL of each of an artefact's files by name.
@@ -217,10 +219,15 @@ class Lake:
         self._put_json(f"runs/{run_id}.json", {**record, "run_id": run_id, "recorded_at": _now()})
 
     def runs(self) -> list[dict[str, Any]]:
-        """Return the records of all runs, newest first, each with ``run_id`` and ``recorded_at``."""
-        found = [self._json(path) for path in self.place.walk("runs")]
-        records = [record for record in found if record is not None]
-        return sorted(records, key=lambda record: str(record.get("recorded_at", "")), reverse=True)
+        """Return the records of all runs, newest first, each with ``run_id`` and ``recorded_at``.
+
+        What is no record is left out: `broken_runs` and `verify` name it.
+        """
+        return read_runs(self.place)[0]
+
+    def broken_runs(self) -> list[Problem]:
+        """Return what stands among the records of runs but cannot be read as one."""
+        return read_runs(self.place)[1]
 
     def forget_run(self, run_id: str) -> None:
         """Remove a run's record, so that `gc` may take what only this run reached."""
@@ -228,9 +235,13 @@ class Lake:
             raise InvalidInputError(f"no run {run_id!r} is recorded in {self.url}")
         self.place.remove(f"runs/{run_id}.json")
 
-    def verify(self, progress: Progress = no_progress) -> list[upkeep.Problem]:
+    def verify(self, progress: Progress = no_progress) -> list[Problem]:
         """Check every hash, see `storage.upkeep.verify`."""
         return upkeep.verify(self, progress)
+
+    def repair(self, problems: Iterable[Problem]) -> list[Problem]:
+        """Set aside what `verify` found damaged, see `storage.upkeep.repair`."""
+        return upkeep.repair(self, problems)
 
     def gc(
         self, older_than_s: float = upkeep.DAY_S, dry_run: bool = True, keep_runs: int | None = None
@@ -240,13 +251,10 @@ class Lake:
 
     def emptiness(self) -> str:
         """Say why a lake without artefacts has none, and what to do about it."""
-        if self.place.walk("manifests"):
+        if self.place.walk("manifests") or self.place.misfits():
             return f"the lake {self.url} holds nothing readable: `cellwright lake verify` names what is wrong"
-        fact = "is empty" if self.place.exists() else "is empty, it does not even exist yet"
-        return (
-            f"the lake {self.url} {fact}: fill it with `cellwright inspect CELL.yaml`, "
-            "or name another with --lake or CELLWRIGHT_LAKE"
-        )
+        fact = f"the lake {self.url} is empty" if self.place.exists() else f"there is no lake at {self.url}"
+        return f"{fact}: fill it with `cellwright inspect CELL.yaml`, or name another with --lake or CELLWRIGHT_LAKE"
 
     def query(self, sql: str) -> Any:
         """Answer SQL over the lake's tables as a ``pyarrow.Table``, see `storage.query.query`."""

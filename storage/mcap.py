@@ -53,6 +53,7 @@ _SECOND_NS = 1_000_000_000
 _DAMAGE = (
     *(McapError, DecodeError, ZstdError, zlib.error, struct.error, InvalidInputError, ValueError, LookupError),
     TypeError,  # what protobuf raises for a damaged descriptor
+    MemoryError,  # what zstandard raises for a damaged length
 )
 
 _Message = tuple[int, int, Callable[[], None]]

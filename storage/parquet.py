@@ -147,7 +147,7 @@ def _encoding(field: Any) -> list[tuple[str, str]]:
 def _read(files: Mapping[str, bytes], name: str) -> Any:
     try:
         return pq.read_table(pa.BufferReader(_file(files, name)))
-    except (pa.ArrowException, OSError, ValueError) as error:
+    except (pa.ArrowException, OSError, ValueError, MemoryError) as error:
         raise LakeError(f"{name} is not a readable Parquet file: {error}") from error
 
 

@@ -11,17 +11,22 @@ import errno
 import fcntl
 import os
 import shutil
+import stat
 import time
 import uuid
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Protocol
 
 from cellwright.errors import InvalidInputError, LakeError
 
 SCRATCH = ".scratch"
 LOCKS = ".locks"
+DAMAGED = "damaged"
+
+_FOLDERS = {"data": 2, "manifests": 1, "provenance": 1, "runs": 0, SCRATCH: None, LOCKS: None, DAMAGED: None}
+"""How many levels of folders stand below each folder of a lake before its files do; ``None``: it does not matter."""
 
 _LONGEST_WAIT_S = 0.2  # between two looks at a lock that another process holds
 
@@ -69,6 +74,16 @@ class Place(Protocol):
     def remove(self, path: str) -> None:
         """Remove a file, if it is there, and its folder if that is empty then."""
 
+    def misfits(self) -> dict[str, str]:
+        """Return by path what cannot belong here: a file where a folder must be, or a folder where a file must be."""
+
+    def set_aside(self, path: str) -> None:
+        """Move a file or folder to ``damaged``, where nothing finds it any more.
+
+        Raises:
+            LakeError: If the place cannot be written.
+        """
+
     def touch(self, path: str) -> None:
         """Note that a file is in use, where the place can."""
 
@@ -88,6 +103,8 @@ def open_place(url: str) -> Place:
         return LocalFolder(Path(url))
     if url.startswith("file://"):
         return LocalFolder(Path(url.removeprefix("file://")))
+    from storage.object_store import ObjectStore
+
     return ObjectStore(url)
 
 
@@ -123,7 +140,7 @@ class LocalFolder:
         with self._telling("read", path):
             try:
                 return (self._root / path).read_bytes()
-            except (FileNotFoundError, NotADirectoryError):
+            except (FileNotFoundError, NotADirectoryError, IsADirectoryError):
                 return None
 
     def state(self, path: str) -> FileState | None:
@@ -133,7 +150,7 @@ class LocalFolder:
                 found = (self._root / path).stat()
             except (FileNotFoundError, NotADirectoryError):
                 return None
-            return FileState(found.st_size, found.st_mtime)
+            return None if stat.S_ISDIR(found.st_mode) else FileState(found.st_size, found.st_mtime)
 
     def walk(self, folder: str) -> dict[str, FileState]:
         """Return all files under a folder by path, sorted."""
@@ -153,6 +170,8 @@ class LocalFolder:
         target = self._root / folder
         n_bytes = sum(len(content) for content in files.values())
         with self._telling("write", folder, n_bytes):
+            self._clear_way(SCRATCH, ())
+            self._clear_way(folder, files)
             try:
                 scratch.mkdir(parents=True)
                 for name, content in files.items():
@@ -170,6 +189,49 @@ class LocalFolder:
             full.unlink(missing_ok=True)
             with contextlib.suppress(OSError):  # not empty, or gone already
                 full.parent.rmdir()
+
+    def misfits(self) -> dict[str, str]:
+        """Return by path what cannot belong here; names that start with a dot inside are other programs'."""
+        found: dict[str, str] = {}
+        for top, depth in _FOLDERS.items():
+            if (self._root / top).exists() and not (self._root / top).is_dir():
+                found[top] = "is a file where a folder belongs"
+            if depth is None:
+                continue
+            with self._telling("list", top):
+                for parent, folders, files in os.walk(self._root / top):
+                    at = Path(parent).relative_to(self._root)
+                    deepest = len(at.parts) > depth
+                    wrong = [name for name in (folders if deepest else files) if not name.startswith(".")]
+                    fact = "is a folder where a file belongs" if deepest else "is a file where a folder belongs"
+                    found |= {(at / name).as_posix(): fact for name in wrong}
+                    if deepest:
+                        folders.clear()
+        return dict(sorted(found.items()))
+
+    def set_aside(self, path: str) -> None:
+        """Move a file or folder to ``damaged``; what stands in the place of that folder goes beside it."""
+        aside = self._root / aside_path(path, of_file=not (self._root / path).is_dir())
+        with self._telling("set aside", path):
+            if path == DAMAGED:
+                (self._root / path).rename(self._root / f"{DAMAGED}.{uuid.uuid4().hex[:8]}")
+                return
+            self._clear_way(DAMAGED, ())
+            aside.parent.mkdir(parents=True, exist_ok=True)
+            (self._root / path).replace(aside)
+            with contextlib.suppress(OSError):  # not empty, or gone already
+                (self._root / path).parent.rmdir()
+
+    def _clear_way(self, folder: str, names: Iterable[str]) -> None:
+        """Set aside files that stand where folders must be for a write, and folders where its files must be."""
+        parts = folder.split("/")
+        for path in ("/".join(parts[: i + 1]) for i in range(len(parts))):
+            full = self._root / path
+            if full.exists() and not full.is_dir():
+                self.set_aside(path)
+        for name in names:
+            if (self._root / folder / name).is_dir():
+                self.set_aside(f"{folder}/{name}")
 
     def touch(self, path: str) -> None:
         """Set the file's time to now; a lake that may only be read stays as it is."""
@@ -212,123 +274,16 @@ class LocalFolder:
             )
         if error.errno in (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOENT):
             return f"{fact}: make the folder writable for this user or choose another lake with --lake"
+        if error.errno in (errno.EEXIST, errno.ENOTDIR, errno.EISDIR):
+            return f"{fact}: `cellwright lake verify --repair` sets aside what is in the way"
         return f"{fact}: mend the disk or choose another lake with --lake"
 
 
-class ObjectStore:
-    """An object store or any other file system that fsspec opens, ``memory://`` among them.
-
-    Storage options (keys, endpoint) come from fsspec's own configuration. Correct without conditional writes:
-    the same name always means the same bytes. A ``memory://`` lake lives and dies with its process.
-
-    Raises:
-        InvalidInputError: If the address names no known protocol, or its library is not installed.
-    """
-
-    def __init__(self, url: str) -> None:
-        import fsspec  # here, so that a local lake does not pay for it
-
-        protocol, _, rest = url.partition("://")
-        if not rest.strip("/"):
-            raise InvalidInputError(f"lake {url!r} names no bucket or folder: write {protocol}://bucket/folder")
-        try:
-            # a cached listing would hide what another process has just written
-            self._files: Any = fsspec.filesystem(protocol, use_listings_cache=False)
-        except ImportError as error:
-            extra = "s3" if protocol in ("s3", "s3a") else protocol
-            raise InvalidInputError(
-                f"lake {url!r} needs a library that is not installed: pip install 'cellwright[{extra}]'"
-                if extra == "s3"
-                else f"lake {url!r} needs a library that is not installed: {error}"
-            ) from error
-        except ValueError as error:
-            raise InvalidInputError(f"lake {url!r}: {error}: use a folder, memory:// or s3://") from error
-        self.protocol = protocol
-        self._root = str(self._files._strip_protocol(url)).rstrip("/")
-        self.url = f"{protocol}://{self._root.lstrip('/')}"
-        self._failures = _failures(protocol)
-
-    @property
-    def file_system(self) -> Any:
-        """The fsspec file system, for readers that take one."""
-        return self._files
-
-    def address(self, path: str) -> str:
-        """Return the URL of a file."""
-        return f"{self.url}/{path}"
-
-    def exists(self) -> bool:
-        """Whether anything is stored under the address."""
-        with self._telling("list", ""):
-            return bool(self._files.exists(self._root))
-
-    def read(self, path: str) -> bytes | None:
-        """Return an object's bytes, or ``None`` if there is none."""
-        with self._telling("read", path):
-            try:
-                return bytes(self._files.cat_file(f"{self._root}/{path}"))
-            except FileNotFoundError:
-                return None
-
-    def state(self, path: str) -> FileState | None:
-        """Return size and age of an object, or ``None`` if there is none."""
-        with self._telling("read", path):
-            try:
-                return _object_state(self._files.info(f"{self._root}/{path}"))
-            except FileNotFoundError:
-                return None
-
-    def walk(self, folder: str) -> dict[str, FileState]:
-        """Return all objects under a folder by path, sorted."""
-        with self._telling("list", folder):
-            try:
-                found = self._files.find(f"{self._root}/{folder}", detail=True)
-            except FileNotFoundError:
-                return {}
-        return {str(name)[len(self._root) + 1 :]: _object_state(info) for name, info in sorted(found.items())}
-
-    def put(self, folder: str, files: Mapping[str, bytes]) -> None:
-        """Put the files one by one; each appears whole."""
-        with self._telling("write", folder):
-            for name, content in files.items():
-                self._files.pipe_file(f"{self._root}/{folder}/{name}", content)
-
-    def remove(self, path: str) -> None:
-        """Remove an object, if it is there."""
-        with self._telling("remove", path), contextlib.suppress(FileNotFoundError):
-            self._files.rm_file(f"{self._root}/{path}")
-
-    def touch(self, path: str) -> None:
-        """Do nothing: objects have no time that can be set without writing them again."""
-
-    def lock(self, name: str) -> contextlib.AbstractContextManager[None]:
-        """Hold nothing: two makers write the same bytes under the same names, which is harmless."""
-        return contextlib.nullcontext()
-
-    @contextlib.contextmanager
-    def _telling(self, doing: str, path: str) -> Iterator[None]:
-        try:
-            yield
-        except self._failures as error:
-            raise LakeError(
-                f"cannot {doing} {self.address(path)}: {error}: check the address, the permissions and the network"
-            ) from error
-
-
-def _failures(protocol: str) -> tuple[type[Exception], ...]:
-    if protocol not in ("s3", "s3a"):
-        return (OSError,)
-    from botocore.exceptions import BotoCoreError, ClientError  # type: ignore[import-not-found, unused-ignore]
-
-    return (OSError, BotoCoreError, ClientError)
-
-
-def _object_state(info: Mapping[str, Any]) -> FileState:
-    changed: Any = info.get("LastModified") or info.get("mtime") or info.get("created")
-    if hasattr(changed, "timestamp"):
-        changed = changed.timestamp()
-    # an object whose age nobody tells counts as new, so that nothing removes it for its age
-    return FileState(int(info["size"]), time.time() if changed is None else float(changed))
+def aside_path(path: str, *, of_file: bool = True) -> str:
+    """Return where something is set aside: a manifest under its key, anything else under a name of its own."""
+    if of_file and path.startswith("manifests/") and path.endswith(".json") and path.count("/") == 2:
+        return f"{DAMAGED}/{path.rpartition('/')[2]}"
+    return f"{DAMAGED}/{path.replace('/', '_')}.{uuid.uuid4().hex[:8]}"
 
 
 def _write_synced(path: Path, content: bytes) -> None:

@@ -2,8 +2,9 @@
 
 The view of table ``views`` of kind ``viewpoints`` is ``viewpoints_views``: all artefacts of the kind that a
 manifest commits, one below the other, with the column ``digest`` in front. Dashes become underscores; the facts are
-the table ``facts``. Beside them stand ``manifests``, ``inputs`` (one row an input), ``runs`` and ``fields`` (unit,
-frame and meaning of every column). Only what a statement names is opened.
+the table ``facts``. Beside them stand ``manifests``, ``inputs`` (one row an input), ``runs``, ``fields`` (unit, frame
+and meaning of every column) and ``causes`` (the names of the codes in columns called ``cause``). Only what a statement
+names is opened.
 
 Statements read, nothing else: what could write, attach or set is refused by its kind before it runs, and DuckDB is
 locked to the files that the views name.
@@ -18,11 +19,12 @@ from typing import TYPE_CHECKING, Any
 import duckdb
 import pyarrow as pa
 
+from cellwright.causes import Cause
 from cellwright.errors import InvalidInputError, LakeError
 from schemas.artefact import specs
 from storage.formats import known_class
 from storage.manifests import Manifest
-from storage.places import ObjectStore
+from storage.object_store import ObjectStore
 
 if TYPE_CHECKING:
     from storage.lake import Lake
@@ -47,6 +49,7 @@ _INPUTS = pa.schema(
     [("key", pa.string()), ("digest", pa.string()), ("name", pa.string()), ("input_digest", pa.string())]
 )
 _RUNS = pa.schema([("run_id", pa.string()), ("recorded_at", pa.string()), ("record", pa.string())])
+_CAUSES = pa.schema([("cause", pa.int64()), ("name", pa.string())])
 _FIELDS = pa.schema([(name, pa.string()) for name in ("view", "field", "dtype", "unit", "frame", "meaning")])
 
 
@@ -69,7 +72,8 @@ def query(lake: Lake, sql: str) -> Any:
             return pa.table({}) if answer is None else answer.to_arrow_table()
         except duckdb.IOException as error:
             raise LakeError(
-                f"files cannot be read: {error}: check their paths, or run `cellwright lake verify`"
+                f"files cannot be read: {error}: set aside what is damaged with `cellwright lake verify --repair`, "
+                "then run again to make it anew"
             ) from error
         except duckdb.Error as error:
             raise InvalidInputError(f"SQL: {error}; tables: {', '.join(names(manifests))}") from error
@@ -100,7 +104,7 @@ def _lock(connection: Any, lake: Lake, addresses: list[str]) -> None:
 
 def names(manifests: list[Manifest]) -> list[str]:
     """Return the names of all tables and views over these manifests."""
-    return ["manifests", "inputs", "runs", "fields", *sorted(_tables(manifests))]
+    return ["manifests", "inputs", "runs", "fields", "causes", *sorted(_tables(manifests))]
 
 
 def _offer(connection: Any, lake: Lake, manifests: list[Manifest], sql: str) -> list[str]:
@@ -120,6 +124,8 @@ def _offer(connection: Any, lake: Lake, manifests: list[Manifest], sql: str) -> 
     if wanted("runs"):
         records = [(run["run_id"], run["recorded_at"], json.dumps(run)) for run in lake.runs()]
         connection.register("runs", _table(records, _RUNS))
+    if wanted("causes"):
+        connection.register("causes", _table([(int(cause), cause.label) for cause in Cause], _CAUSES))
     if wanted("fields"):
         connection.register("fields", _fields(manifests))
     for name, paths in _tables(manifests).items():

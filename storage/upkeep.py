@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -12,25 +12,15 @@ from schemas.artefact import digest
 from schemas.stage import Progress, no_progress
 from storage.formats import fingerprint, format_of, known_class
 from storage.keys import is_hash
-from storage.manifests import FileEntry, Manifest
-from storage.places import SCRATCH, FileState, Place
+from storage.manifests import FileEntry, Manifest, manifest_path
+from storage.places import DAMAGED, SCRATCH, FileState, Place, aside_path
+from storage.records import MEND, Problem, provenance_problems, read_runs, run_path
 
 if TYPE_CHECKING:
     from storage.lake import Lake
 
 DAY_S = 86400.0
 """Nothing younger is ever swept: it may belong to a run that is still going on."""
-
-
-@dataclass(frozen=True, slots=True)
-class Problem:
-    """Something in the lake that is not what it should be: where, and what."""
-
-    address: str
-    fact: str
-
-    def __str__(self) -> str:
-        return f"{self.address}: {self.fact}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +57,7 @@ class Sweep:
 
 def damaged_path(key: str) -> str:
     """Return where a damaged artefact's manifest is set aside."""
-    return f"damaged/{key}.json"
+    return aside_path(manifest_path(key))
 
 
 def read_manifest(place: Place, path: str) -> Manifest | Problem | None:
@@ -78,23 +68,45 @@ def read_manifest(place: Place, path: str) -> Manifest | Problem | None:
     folder, _, name = path.rpartition("/")
     key = name.removesuffix(".json")
     if not is_hash(key) or folder != f"manifests/{key[:2]}":
-        return Problem(place.address(path), "is no manifest's path")
+        return Problem(place.address(path), "is no manifest's path", path)
     try:
         return Manifest.from_json(content, place.address(path), key)
     except LakeError as error:
-        return Problem(place.address(path), str(error))
+        return Problem(place.address(path), str(error), path)
+
+
+def repair(lake: Lake, problems: Iterable[Problem]) -> list[Problem]:
+    """Set aside under ``damaged`` what is behind problems that `verify` found; the next run makes anew what it needs.
+
+    Returns:
+        The problems that stay.
+
+    Raises:
+        LakeError: If the lake cannot be written.
+    """
+    stay: list[Problem] = []
+    done: set[str] = set()
+    for problem in problems:
+        if not problem.mended_by:
+            stay.append(problem)
+        elif problem.mended_by not in done:
+            lake.place.set_aside(problem.mended_by)
+            done.add(problem.mended_by)
+    return stay
 
 
 def verify(lake: Lake, progress: Progress = no_progress) -> list[Problem]:
-    """Check every manifest, every file's size and SHA-256, and the digest of every content.
+    """Check every manifest, every file's size and SHA-256, the digest of every content, and the records beside them.
 
-    Changes nothing. Reads the whole lake: a few hundred megabytes a second.
+    Changes nothing; `repair` does. Reads the whole lake: a few hundred megabytes a second.
 
     Raises:
         LakeError: If the lake cannot be read.
     """
-    problems: list[Problem] = []
-    paths = list(lake.place.walk("manifests"))
+    misfits = lake.place.misfits()
+    problems = [Problem(lake.place.address(path), f"{fact}: {MEND}", path) for path, fact in misfits.items()]
+    problems += read_runs(lake.place)[1]
+    paths = [path for path in lake.place.walk("manifests") if not _inside(path, misfits)]
     checked: dict[tuple[str, str], FileEntry] = {}
     for i, path in enumerate(paths):
         manifest = read_manifest(lake.place, path)
@@ -102,29 +114,33 @@ def verify(lake: Lake, progress: Progress = no_progress) -> list[Problem]:
             problems.append(manifest)
         elif manifest is not None:
             problems += _content_problems(lake.place, manifest, checked)
+            problems += provenance_problems(lake.place, manifest.key)
         progress((i + 1) / len(paths))
     return problems
+
+
+def _inside(path: str, folders: Iterable[str]) -> bool:
+    return any(path == folder or path.startswith(f"{folder}/") for folder in folders)
 
 
 def _content_problems(place: Place, manifest: Manifest, checked: dict[tuple[str, str], FileEntry]) -> list[Problem]:
     if all(checked.get((manifest.folder, name)) == entry for name, entry in manifest.files.items()):
         return []  # another recipe's manifest names the same content
+    path = manifest_path(manifest.key)
     files: dict[str, bytes] = {}
     for name, entry in manifest.files.items():
         address = place.address(f"{manifest.folder}/{name}")
         content = place.read(f"{manifest.folder}/{name}")
         if content is None:
-            return [Problem(address, f"is missing (manifest {manifest.key[:12]}): run again to make it anew")]
+            return [Problem(address, f"is missing (manifest {manifest.key[:12]}): run again to make it anew", path)]
         if len(content) != entry.size:
-            return [Problem(address, f"has {len(content)} bytes, not {entry.size}: run again to make it anew")]
+            return [Problem(address, f"has {len(content)} bytes, not {entry.size}: run again to make it anew", path)]
         if FileEntry.of(content) != entry:
-            return [
-                Problem(address, "does not match its SHA-256: run again, the first stage that reads it sets it aside")
-            ]
+            return [Problem(address, f"does not match its SHA-256 (manifest {manifest.key[:12]}): {MEND}", path)]
         files[name] = content
     problem = _digest_problem(manifest, files)
     if problem is not None:
-        return [Problem(place.address(manifest.folder), problem)]
+        return [Problem(place.address(manifest.folder), f"{problem}: {MEND}", path)]
     checked.update({(manifest.folder, name): entry for name, entry in manifest.files.items()})
     return []
 
@@ -180,7 +196,7 @@ def sweep(
     if keep_runs is not None:
         _forget_runs(lake, keep_runs, broom)
     forgotten = tuple(path.removeprefix("runs/").removesuffix(".json") for path in broom.taken)
-    for folder in (SCRATCH, "damaged"):
+    for folder in (SCRATCH, DAMAGED):
         broom.take(place.walk(folder))
     read = _read_manifests(place, {})
     reached, riddle = _reached(lake, [found for _, found in read.values() if isinstance(found, Manifest)], broom)
@@ -238,13 +254,9 @@ def _forget_runs(lake: Lake, keep_runs: int, broom: _Broom) -> None:
     records = lake.runs()
     finished = [record for record in records if record.get("state", "finished") == "finished"]
     others = [record for record in records if record.get("state", "finished") != "finished"]
-    kept = {_run_path(record) for record in (*finished[:keep_runs], *others[:keep_runs])}
-    paths = [path for path in map(_run_path, records) if path not in kept]
+    kept = {run_path(record) for record in (*finished[:keep_runs], *others[:keep_runs])}
+    paths = [path for path in map(run_path, records) if path not in kept]
     broom.take({path: states[path] for path in paths if path in states})
-
-
-def _run_path(record: Mapping[str, Any]) -> str:
-    return f"runs/{record.get('run_id')}.json"
 
 
 def _take_data(data: Mapping[str, FileState], named: set[str], broom: _Broom) -> int:
@@ -284,11 +296,11 @@ def _reached(lake: Lake, manifests: list[Manifest], broom: _Broom) -> tuple[set[
     """
     states = lake.place.walk("runs")
     everything = lake.runs()
-    unreadable = sorted(states.keys() - {_run_path(record) for record in everything})
+    unreadable = sorted(states.keys() - {run_path(record) for record in everything})
     if unreadable:
         address = lake.place.address(unreadable[0])
         return None, [f"no result was taken because a run's record is unreadable: {address}: delete it"]
-    runs = [record for record in everything if not broom.would_take(_run_path(record))]
+    runs = [record for record in everything if not broom.would_take(run_path(record))]
     if not runs:
         return None, []
     makers: dict[str, list[Manifest]] = {}

@@ -58,7 +58,7 @@ class CellModelParams(Params):
     seed: int = Field(default=0, ge=0, description="Seed of the sampling that finds pairs which never touch.")
 
 
-@stage(version=2)
+@stage(version=3)
 def assemble_cell(
     files: tuple[SourceFile, ...], *, params: CellModelParams, progress: Progress = no_progress
 ) -> CellModel:
@@ -70,29 +70,14 @@ def assemble_cell(
     """
     import numpy as np
 
-    from cellwright.cell.cell import Cell
     from cellwright.cell.ignored_pairs import ignored_pairs
     from schemas.cell_objects import packed_bodies
 
-    contents = _contents(files)
-    robot, links, home, touching = _robot(params, contents)
-    bodies = (
-        *links,
-        *(_body(body, contents, robot.n_joints, robot.chain.T_last_flange) for body in params.housing),
-        *(_body(body, contents, WORLD, np.eye(4)) for body in params.bodies),
-    )
-    _check_names([body.name for body in bodies])
-    cell = Cell(
-        robot,
-        bodies,
-        np.empty((0, 2), np.int32),
-        params.T_world_base.matrix(),
-        params.T_flange_scanner.matrix(),
-        _start(params, robot, home),
-    )
+    cell, n_links, touching = _unchecked(files, params)
+    robot, bodies = cell.robot, cell.bodies
     ignored = ignored_pairs(
         cell,
-        range(len(links)),
+        range(n_links),
         np.random.default_rng(params.seed),
         declared=_declared((*params.ignored_pairs, *touching), [body.name for body in bodies]),
         progress=progress,
@@ -117,6 +102,41 @@ def assemble_cell(
     )
 
 
+def unchecked_cell(files: tuple[SourceFile, ...], params: CellModelParams) -> Cell:
+    """Return the cell as it is described, to be looked at: nobody has asked whether bodies collide at its start.
+
+    Raises:
+        InvalidInputError: As `assemble_cell`, but for collisions.
+    """
+    cell, _, _ = _unchecked(files, params)
+    return cell
+
+
+def _unchecked(files: tuple[SourceFile, ...], params: CellModelParams) -> tuple[Cell, int, tuple[tuple[str, str], ...]]:
+    """Return the cell without pairs that may touch, the number of its links' bodies, and links that may touch."""
+    import numpy as np
+
+    from cellwright.cell.cell import Cell
+
+    contents = _contents(files)
+    robot, links, home, touching = _robot(params, contents)
+    bodies = (
+        *links,
+        *(_body(body, contents, robot.n_joints, robot.chain.T_last_flange) for body in params.housing),
+        *(_body(body, contents, WORLD, np.eye(4)) for body in params.bodies),
+    )
+    _check_names([body.name for body in bodies])
+    cell = Cell(
+        robot,
+        bodies,
+        np.empty((0, 2), np.int32),
+        params.T_world_base.matrix(),
+        params.T_flange_scanner.matrix(),
+        _start(params, robot, home),
+    )
+    return cell, len(links), touching
+
+
 def _contents(files: Sequence[SourceFile]) -> dict[str, bytes]:
     contents: dict[str, bytes] = {}
     for file in files:
@@ -130,16 +150,37 @@ def _robot(
 ) -> tuple[Robot, tuple[Body, ...], tuple[float, ...] | None, tuple[tuple[str, str], ...]]:
     """Return the robot, its links' bodies, its own start configuration, and links of its that may touch."""
     from cellwright.cell.built_in_robots import built_in, built_in_bodies, built_in_urdf
-    from cellwright.cell.robot import Robot
-    from cellwright.cell.urdf_geometry import collision_bodies, meshes_among
 
-    own = None if params.robot in contents else built_in(params.robot)
+    if params.robot in contents:
+        try:
+            return (*_urdf_robot(params, contents), None, ())
+        except InvalidInputError as error:
+            raise InvalidInputError(f"{params.robot}: {error}") from error
+    own = built_in(params.robot)
     acceleration = params.max_acceleration_rad_s2
-    if own is not None and not isinstance(acceleration, tuple):
-        by_name = dict(zip(own.joint_names, own.max_acceleration))
-        acceleration = by_name | (acceleration or {})
-    robot = Robot.from_urdf(
-        _text(params.robot, contents[params.robot]) if own is None else built_in_urdf(own.name),
+    if not isinstance(acceleration, tuple):
+        acceleration = dict(zip(own.joint_names, own.max_acceleration)) | (acceleration or {})
+    robot = _arm(built_in_urdf(own.name), params, acceleration)
+    return robot, built_in_bodies(own.name, robot), own.home, own.touching
+
+
+def _urdf_robot(params: CellModelParams, contents: Mapping[str, bytes]) -> tuple[Robot, tuple[Body, ...]]:
+    from cellwright.cell.robot import reach_fault
+    from cellwright.cell.urdf_geometry import check_geometry, collision_bodies, meshes_among
+
+    robot = _arm(_text(contents[params.robot]), params, params.max_acceleration_rad_s2)
+    fault = reach_fault(robot)
+    if fault is not None:
+        raise InvalidInputError(fault)
+    check_geometry(robot.tree)
+    return robot, collision_bodies(robot, meshes_among(contents))
+
+
+def _arm(urdf: str, params: CellModelParams, acceleration: JointValues | None) -> Robot:
+    from cellwright.cell.robot import Robot
+
+    return Robot.from_urdf(
+        urdf,
         base_link=params.base_link,
         flange_link=params.flange_link,
         lower=params.lower_rad,
@@ -147,16 +188,13 @@ def _robot(
         max_velocity=params.max_velocity_rad_s,
         max_acceleration=acceleration,
     )
-    if own is not None:
-        return robot, built_in_bodies(own.name, robot), own.home, own.touching
-    return robot, collision_bodies(robot, meshes_among(contents)), None, ()
 
 
-def _text(name: str, content: bytes) -> str:
+def _text(content: bytes) -> str:
     try:
         return content.decode()
     except UnicodeDecodeError as failure:
-        raise InvalidInputError(f"{name} is not a URDF: it is not text in UTF-8 ({failure})") from failure
+        raise InvalidInputError(f"it is not a URDF, for it is not text in UTF-8 ({failure}): save it so") from failure
 
 
 def _body(params: BodyParams, contents: Mapping[str, bytes], parent: int, T_parent_frame: FloatArray) -> Body:

@@ -62,6 +62,7 @@ def explain_samples(
             outcome=reachability.outcome,
             blocked_by=reachability.blocked_by,
             selected=selected,
+            connected=np.ones(n_views, bool),
         ),
         progress=progress,
     )

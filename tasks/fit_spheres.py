@@ -8,29 +8,29 @@ spheres in ``n_spheres_of`` gets ``n_spheres``; a body with 0 gets no hull.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, Self
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from cellwright.errors import CellwrightError, InvalidInputError, listed
 from schemas.params import Params
 from schemas.part import PartMesh
 from schemas.sources import CellModel
 from schemas.sphere_hull import SphereHull
-from schemas.stage import stage
+from schemas.stage import Progress, no_progress, stage
 
 if TYPE_CHECKING:
     from cellwright.arrays import FloatArray
     from cellwright.cell.bodies import Mesh
     from cellwright.solvers.sphere_fitting import SphereFit
 
-N_POSES = 2000
-"""Random configurations that pairs of hulls are sorted by."""
+_FITTING = 0.95
+"""Share of the progress that fitting stands for; the rest is sorting pairs."""
 
 
 class SphereParams(Params):
-    """Settings of the sphere hulls."""
+    """Settings of the sphere hulls; those that nothing reads take their defaults: no key hangs on them."""
 
     method: Literal["certified", "k-means"] = Field(
         default="certified", description="Our fit with proofs, or k-means as in Baumgaertner 2025, section 3."
@@ -47,9 +47,18 @@ class SphereParams(Params):
     n_starts: int = Field(default=4, ge=1, le=64, description="Starts that the certified method chooses from.")
     seed: int = Field(default=0, ge=0, description="Seed of all random choices.")
 
+    @model_validator(mode="after")
+    def _only_what_applies(self) -> Self:
+        unread = {"inflate"} if self.method == "certified" else {"n_starts"}
+        for name in unread | (set() if self.tolerance_m is None else {"n_spheres"}):
+            object.__setattr__(self, name, type(self).model_fields[name].default)  # frozen for everybody else
+        return self
+
 
 @stage(version=1)
-def fit_spheres(cell: CellModel | None, mesh: PartMesh | None, *, params: SphereParams) -> SphereHull:
+def fit_spheres(
+    cell: CellModel | None, mesh: PartMesh | None, *, params: SphereParams, progress: Progress = no_progress
+) -> SphereHull:
     """Fit the spheres.
 
     Raises:
@@ -74,10 +83,15 @@ def fit_spheres(cell: CellModel | None, mesh: PartMesh | None, *, params: Sphere
         row = rows.start
         return _trials(names[row], meshes[names[row]], wanted[row], generators[row], params) if wanted[row] else []
 
-    fits = list(map_slices(fitted, len(names), 1))
+    fits: list[list[SphereFit]] = []
+    progress(0.0)
+    for found in map_slices(fitted, len(names), 1):
+        fits.append(found)
+        progress(_FITTING * len(fits) / len(names))
     if not any(fits):
         raise InvalidInputError("every body has 0 spheres: give at least one a number")
     pairs = _pairs(cell, [found[0] if found else None for found in fits], len(names), generators[-1])
+    progress(1.0)
     return SphereHull(method=params.method, **_columns(names, fits), **pairs)
 
 
@@ -154,7 +168,7 @@ def _pairs(
     """Sort the pairs of the cell's own bodies; a workpiece is moved by others and stays checked against all."""
     from cellwright.cell.bodies import WORLD
     from cellwright.cell.ignored_pairs import Reason
-    from cellwright.cell.sphere_pairs import hull_pairs
+    from cellwright.cell.sphere_pairs import N_SAMPLES, hull_pairs
     from cellwright.cell.transforms import apply
     from schemas.cell_objects import build_cell
 
@@ -168,7 +182,7 @@ def _pairs(
         }
     built = build_cell(cell)
     chain = built.robot.chain
-    samples = generator.uniform(chain.lower, chain.upper, (N_POSES, built.robot.n_joints))
+    samples = generator.uniform(chain.lower, chain.upper, (N_SAMPLES, built.robot.n_joints))
     T_base_world = np.linalg.inv(built.T_world_base)
     # row 0 the world, row 1 the base, then the links
     groups = np.array([[T_base_world, *built.robot.link_poses(q)] for q in samples])  # (samples, groups, 4, 4)

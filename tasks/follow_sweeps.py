@@ -64,8 +64,8 @@ def follow_sweeps(
     if touching is not None:  # said before the long search instead of after it
         raise InvalidInputError(
             f"the start configuration brings {touching[0]} and {touching[1]} closer than "
-            f"{params.clearance_m * 1e3:.4g} mm: choose another robot.start, move the part, or lower "
-            "planner.reachability.clearance"
+            f"{params.clearance_m * 1e3:.4g} mm: choose another start_rad, move the part, or lower "
+            "clearance_m"
         )
     followed = follow(
         built,

@@ -25,7 +25,7 @@ class CoverageParams(SensingParams):
     radius_m: float = Field(default=2e-3, gt=0, description="Largest distance of a scan point that measures a point.")
 
 
-@stage(version=1)
+@stage(version=2)
 def measure_coverage(
     mesh: PartMesh,
     surroundings: Surroundings,
@@ -41,13 +41,15 @@ def measure_coverage(
 ) -> Coverage:
     """Return which points of the cloud the scan measured; all pieces of all candidates are asked about the others.
 
-    A view that the ``trajectory`` leaves out is no candidate: what only such views measure cannot be measured. The
-    share of the coverable is 0 if no candidate can measure anything.
+    What only views measure that the ``trajectory`` leaves out or replaces has the cause not connected. It is coverable
+    all the same: the share of the coverable counts what any executable sweep can measure, connected or not, and is 0
+    if none can measure anything.
 
     Raises:
         InvalidInputError: If the artefacts do not belong together.
     """
     from cellwright.solvers.coverage import CandidatePieces, explain_misses, match_points
+    from schemas.plan_objects import unconnected_views
     from schemas.sweep_objects import candidate_sweeps, occluder_of
 
     n_views = len(viewpoints.sample)
@@ -67,10 +69,9 @@ def measure_coverage(
     missed = np.flatnonzero(np.isnan(uncertainty))
     selected = np.zeros(n_views, bool)
     selected[selection.view] = True
-    left_out = np.zeros(n_views, bool)
+    connected = np.ones(n_views, bool)
     if trajectory is not None:
-        left_out[trajectory.left_out_view] = True
-    kept = ~left_out[reachability.view]
+        connected[list(unconnected_views(trajectory))] = False
     misses = explain_misses(
         params.scanner.scanner(),
         params.max_uncertainty_m,
@@ -79,12 +80,13 @@ def measure_coverage(
         cloud.normals[missed],
         CandidatePieces(
             sweeps=candidate_sweeps(viewpoints),
-            view=reachability.view[kept],
-            start=reachability.start_m[kept],
-            end=reachability.end_m[kept],
-            outcome=np.where(left_out, np.int8(Cause.NOT_CONNECTED), reachability.outcome),
+            view=reachability.view,
+            start=reachability.start_m,
+            end=reachability.end_m,
+            outcome=reachability.outcome,
             blocked_by=reachability.blocked_by,
-            selected=selected & ~left_out,
+            selected=selected & connected,
+            connected=connected,
         ),
         progress=progress,
     )

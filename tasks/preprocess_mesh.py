@@ -45,7 +45,7 @@ class MeshParams(Params):
         return value
 
 
-@stage(version=1)
+@stage(version=2)
 def preprocess_mesh(source: SourceFile, *, params: MeshParams) -> PartMesh:
     """Preprocess a part.
 

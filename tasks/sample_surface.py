@@ -45,7 +45,7 @@ def sample_surface(mesh: PartMesh, *, params: SurfaceParams) -> SurfaceSamples:
     if n_samples > most:
         raise InvalidInputError(
             f"{params.density_per_m2 * 1e-6:g} /mm^2 on {area * 1e6:.0f} mm^2 asks for {n_samples} samples but at most "
-            f"{most} can be handled: lower planner.sampling.density, or the density_factor of this cloud, to "
+            f"{most} can be handled: lower density_per_m2, or the density_factor of this cloud, to "
             f"reach at most {most / area * 1e-6:.3g} /mm^2"
         )
     triangles = mesh.vertices_m[mesh.faces[faces]]

@@ -84,5 +84,5 @@ def _check_number(samples: SurfaceSamples, n_directions: int) -> None:
         raise InvalidInputError(
             f"{n_samples} samples with {n_directions} tilts and standoffs each are {n_samples * n_directions} "
             f"candidate sweeps and up to {n_measurements:.2g} measurements, but at most {_MOST_MEASUREMENTS:.2g} can "
-            "be handled: lower planner.sampling.density or leave out tilts"
+            "be handled: lower density_per_m2 or leave out tilts"
         )

@@ -64,7 +64,7 @@ class SetCoverParams(Params):
         return self
 
 
-@stage(version=1)
+@stage(version=2)
 def select_views(
     measurability: Measurability,
     earlier: Trajectory | None = None,
@@ -75,7 +75,8 @@ def select_views(
     """Select views until ``min_coverage`` of the coverable samples is measured.
 
     A sample that no view measures is a finding and keeps its cause; it does not count for the coverage. Views that an
-    ``earlier`` trajectory leaves out are not selected; what only they measure counts as not connected.
+    ``earlier`` trajectory leaves out or replaces are not selected: what only they measure counts as not connected, and
+    bound and proof hold for the problem without them.
 
     Raises:
         InvalidInputError: If an entry names a view or a sample that does not exist, or an uncertainty is not finite.
@@ -85,8 +86,9 @@ def select_views(
 
     from cellwright.causes import Cause
     from cellwright.solvers.set_cover import cover_greedily, exchange_columns
+    from schemas.plan_objects import unconnected_views
 
-    left_out = {} if earlier is None else dict(zip(earlier.left_out_view.tolist(), earlier.left_out_reason))
+    left_out = {} if earlier is None else unconnected_views(earlier)
     matrix, uncertainty = _matrix(measurability, left_out)
     tie = np.full(matrix.n_columns, np.inf)  # a view that measures nothing is never taken
     used = matrix.column_sizes > 0
@@ -113,6 +115,7 @@ def select_views(
         gap=max(0.0, (len(views) - least) / len(views)),
         proven=len(views) <= least,
         stopped_by=found.stopped_by,
+        n_excluded=len(left_out),
     )
 
 
@@ -175,9 +178,7 @@ def _matrix(measurability: Measurability, left_out: dict[int, str]) -> tuple[Cov
         raise InfeasibleError(
             f"none of {n_views} views measures any of {n_samples} samples"
             + (f", {len(left_out)} aside that cannot be executed or connected ({reasons}) " if left_out else " ")
-            + f"({listed(f'{count} {Cause(value).label}' for count, value in causes)}): add tilts (theta_tilt_rad, "
-            "psi_tilt_rad) or standoffs (standoff_m), raise max_uncertainty_m, or move the part (part.pose.position) "
-            "into the robot's reach"
+            + f"({listed(f'{count} {Cause(value).label}' for count, value in causes)}): {_advice(causes)}"
         )
     view, sample, uncertainty = view[kept], sample[kept], measurability.uncertainty_m[kept]
     key = view * n_samples + sample
@@ -187,6 +188,29 @@ def _matrix(measurability: Measurability, left_out: dict[int, str]) -> tuple[Cov
         view, sample, uncertainty = view[first], sample[first], uncertainty[first]
     starts = np.searchsorted(view, np.arange(n_views + 1))
     return cover_matrix((starts, sample, n_samples)), uncertainty.astype(np.float64)
+
+
+def _advice(causes: list[tuple[int, int]]) -> str:
+    """Return what mends the causes that stopped a tenth of the samples or more, from (count, cause), most first."""
+    from cellwright.causes import Cause
+
+    tilts, standoffs = "add tilts (theta_tilt_rad, psi_tilt_rad)", "standoffs (standoff_m)"
+    occluded = f"{tilts} or move the part (T_world_part) free of what stands around it"
+    mends = {
+        Cause.FIELD_OF_VIEW: f"add {standoffs}",
+        Cause.INCIDENCE: tilts,
+        Cause.UNCERTAINTY: f"{tilts} or {standoffs}, or raise max_uncertainty_m",
+        Cause.EMITTER_OCCLUDED: occluded,
+        Cause.DETECTOR_OCCLUDED: occluded,
+        Cause.OUT_OF_REACH: "move the part (T_world_part) into the robot's reach",
+        Cause.JOINT_LIMIT: "move the part (T_world_part) or widen the joint limits (lower_rad, upper_rad)",
+        Cause.COLLISION: f"move the part (T_world_part) away from what the robot collides with, or add {standoffs}",
+        Cause.JOINT_SPEED: "lower scan_speed_m_s",
+        Cause.TOO_SHORT: "lower shortest_m",
+    }
+    total = sum(count for count, _ in causes)
+    leading = [mends[Cause(value)] for count, value in causes if Cause(value) in mends and 10 * count >= total]
+    return "; ".join(dict.fromkeys(leading)) or "move the part (T_world_part)"
 
 
 def _worst_assigned(matrix: CoverMatrix, views: IntArray, uncertainty: FloatArray) -> FloatArray:

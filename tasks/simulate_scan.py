@@ -99,5 +99,5 @@ def _check_number_of_rays(scanner: Scanner, scanning_s: float) -> None:
         raise InvalidInputError(
             f"{scanner.points_per_profile} points a profile at {scanner.profile_rate:g} Hz in {scanning_s:.1f} s of "
             f"scanning are {n_rays:.3g} points but at most {_MOST_RAYS:.3g} can be handled: lower "
-            "scanner.points_per_profile or scanner.profile_rate, or raise planner.reachability.scan_speed"
+            "points_per_profile or profile_rate_hz, or raise scan_speed_m_s"
         )

@@ -9,9 +9,9 @@ A view that cannot be executed or connected is left out with its reason, so that
 from __future__ import annotations
 
 import math
-from typing import Literal
+from typing import Literal, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from schemas.motion import Trajectory
 from schemas.params import Params
@@ -23,7 +23,10 @@ from schemas.views import Reachability, Viewpoints, ViewSelection
 
 
 class StitchParams(Params):
-    """Settings of the stitching stage."""
+    """Settings of the stitching stage; limits of the search for the best order take their defaults for `greedy`.
+
+    That method searches only where going to the nearest next ends nowhere.
+    """
 
     T_world_part: Pose = Field(default=Pose(), description="Pose of the part in the world.")
     method: Literal["best", "greedy", "exact"] = Field(
@@ -42,7 +45,8 @@ class StitchParams(Params):
     clearance_m: float = Field(
         default=0.005,
         ge=0,
-        description="Distance kept between bodies on connections; sweeps keep what they were given.",
+        description="Distance kept between bodies on connections. Sweeps keep it at the poses at which they were "
+        "followed, and it or 1 mm, the smaller, between those.",
     )
     scan_speed_m_s: float = Field(default=0.1, gt=0, description="Speed of the scanner on a sweep.")
     tool_acceleration_m_s2: float = Field(default=1.0, gt=0, description="Acceleration of the scanner on a sweep.")
@@ -51,8 +55,14 @@ class StitchParams(Params):
     min_sweeps: int = Field(default=1, ge=0, description="Fewest sweeps of a plan; a shorter one is an error.")
     seed: int = Field(default=0, ge=0, description="Seed of roadmap and shortening.")
 
+    @model_validator(mode="after")
+    def _only_what_applies(self) -> Self:
+        for name in ("exact_up_to", "max_connections") if self.method == "greedy" else ():
+            object.__setattr__(self, name, type(self).model_fields[name].default)  # frozen for everybody else
+        return self
 
-@stage(version=2)
+
+@stage(version=4)
 def stitch_sweeps(
     cell: CellModel,
     mesh: PartMesh,
@@ -66,7 +76,7 @@ def stitch_sweeps(
 ) -> Trajectory:
     """Plan the whole motion from the start configuration through the selected sweeps that can be executed.
 
-    What ``earlier`` has left out is carried on into the result, unless it is selected again.
+    What ``earlier`` has left out or replaced counts as replaced, unless it is selected again.
 
     Raises:
         InvalidInputError: If nothing is selected, the start configuration collides or is beyond a joint limit, or
@@ -115,6 +125,7 @@ def stitch_sweeps(
         tool_acceleration=params.tool_acceleration_m_s2,
         sample=params.sample_s,
         step=params.step_rad,
+        sweep_clearance=min(params.clearance_m, StitchSettings.confirm_step),
         max_alternatives=params.max_alternatives,
         roadmap=RoadmapSize(
             n_nodes=params.roadmap_nodes,
@@ -133,7 +144,7 @@ def stitch_sweeps(
         settings=settings,
         method=params.method,
         rng=np.random.default_rng(params.seed),
-        sweep_checker=FilteredScene(scene.with_clearance(min(params.clearance_m, settings.confirm_step))),
+        sweep_checker=FilteredScene(scene.with_clearance(settings.sweep_clearance)),
         progress=progress,
     )
     n_executed = n_sweeps - len(plan.left_out)

@@ -17,16 +17,18 @@ import numpy as np
 from pydantic import Field
 
 from cellwright.causes import Cause
-from schemas.inspection_summary import blocking_bodies, summarise
+from schemas.inspection_summary import blocking_bodies, cover_words, summarise
 from schemas.motion import ScanCloud, Trajectory, Verification
 from schemas.overlaps import StandingOverlaps
 from schemas.params import Params
 from schemas.part import PartMesh, SurfaceSamples
+from schemas.poses import Pose
 from schemas.report import InspectionReport
 from schemas.report_scene import scene_json
+from schemas.scanner import ScannerParams
 from schemas.sources import CellModel
 from schemas.stage import stage
-from schemas.views import Coverage, Reachability, Viewpoints, ViewSelection
+from schemas.views import Coverage, Measurability, Reachability, Viewpoints, ViewSelection
 
 CAUSE_WORDS = {
     Cause.NONE: "a scan point lies close enough",
@@ -53,6 +55,10 @@ class ReportParams(Params):
     title: str = Field(default="Inspection plan", description="Heading of the page.")
     notes: str = Field(default="", description="A remark shown below the heading.")
     max_uncertainty_m: float = Field(default=100e-6, gt=0, description="Permitted uncertainty, drawn as a line.")
+    T_world_part: Pose = Field(
+        default=Pose(), description="Pose of the part in the world, for the picture of the cell."
+    )
+    scanner: ScannerParams = Field(default=ScannerParams(), description="The scanner whose laser fan is drawn.")
     max_points: int = Field(default=20_000, ge=100, description="Most cloud points drawn in the 3D view.")
     template_sha256: str = Field(
         default="",
@@ -69,7 +75,7 @@ def template_digest() -> str:
     return hashlib.sha256(f"{_template()}\n{json.dumps(drawn_by, sort_keys=True)}".encode()).hexdigest()
 
 
-@stage(version=3)
+@stage(version=5)
 def write_report(
     mesh: PartMesh,
     cell: CellModel,
@@ -78,6 +84,7 @@ def write_report(
     coverage: Coverage,
     viewpoints: Viewpoints,
     reachability: Reachability,
+    measurability: Measurability,
     selection: ViewSelection,
     trajectory: Trajectory,
     verification: Verification,
@@ -85,16 +92,22 @@ def write_report(
     *,
     params: ReportParams,
 ) -> InspectionReport:
-    """Write the page, its figures and the summary of a verified plan; ``cloud`` is the verification cloud."""
+    """Write the page, its figures and the summary of a verified plan.
+
+    ``cloud`` is the verification cloud, ``measurability`` what the selection was made from.
+    """
     import jinja2
 
+    from cellwright.figures.cell_view import cell_picture
     from cellwright.figures.charts import plan_chart, uncertainty_histogram
     from cellwright.figures.coverage_map import coverage_picture
+    from schemas.cell_objects import build_cell
 
     spacing = 1.0 / np.sqrt(max(cloud.density_per_m2, 1e-9))
     summary = summarise(
         mesh,
         viewpoints,
+        measurability,
         selection,
         trajectory,
         scan,
@@ -103,6 +116,7 @@ def write_report(
         overlaps=overlaps,
         reachability=reachability,
     )
+    cell_png = cell_picture(build_cell(cell, mesh, params.T_world_part.matrix()), params.scanner.scanner())
     coverage_png = coverage_picture(
         mesh.vertices_m,
         mesh.faces,
@@ -139,6 +153,7 @@ def write_report(
         orders=_order_rows(trajectory),
         checks=_check_rows(verification),
         mesh=_mesh_facts(mesh),
+        cell_png=base64.b64encode(cell_png).decode(),
         coverage_png=base64.b64encode(coverage_png).decode(),
         uncertainty_png=base64.b64encode(uncertainty_png).decode(),
         plan_png=base64.b64encode(plan_png).decode(),
@@ -146,24 +161,27 @@ def write_report(
         scene_json=_trusted(scene_json(mesh, cloud, coverage, viewpoints, trajectory, params.max_points)),
     )
     return InspectionReport(
-        page.encode(), coverage_png, uncertainty_png, plan_png, json.dumps(summary, sort_keys=True, allow_nan=False)
+        page.encode(),
+        cell_png,
+        coverage_png,
+        uncertainty_png,
+        plan_png,
+        json.dumps(summary, sort_keys=True, allow_nan=False),
     )
 
 
 def _words(summary: dict[str, Any]) -> dict[str, str]:
-    proof = (
-        "proven to be the fewest possible"
-        if summary["sweeps_proven_fewest"]
-        else f"at least {int(np.ceil(summary['sweeps_lower_bound'] - 1e-6))} are needed"
-    )
     orders = summary["orders_s"]
     saved = ""
     if {"greedy", summary["order"]} <= orders.keys() and summary["order"] != "greedy":
         saved = f" It saves {100 * (1 - orders[summary['order']] / orders['greedy']):.0f} % against the greedy order."
     if summary["order_proven_shortest"]:
-        saved += " No other order of these sweeps over connections of this kind is shorter: that is proven."
+        saved += " No other order of these sweeps over the connections that were found is shorter: that is proven."
     elif summary["order_lower_bound_s"] > 0.0:
-        saved += f" No order of these sweeps takes less than {summary['order_lower_bound_s']:.1f} s."
+        saved += (
+            f" Over the connections that were found no order of these sweeps takes less than "
+            f"{summary['order_lower_bound_s']:.1f} s."
+        )
     apart = ""
     if summary["least_distance_m"] is not None:
         one, other = summary["nearest"]["bodies"]
@@ -175,7 +193,7 @@ def _words(summary: dict[str, Any]) -> dict[str, str]:
     return {
         "headline": f"{summary['executed_sweeps']} sweeps measure {summary['coverage']:.2%} of the surface in "
         f"{summary['duration_s']:.1f} s.",
-        "cover_words": f"Chosen from {summary['candidates']:,} candidates; {proof}. "
+        "cover_words": f"Chosen from {summary['candidates']:,} candidates; {cover_words(summary)}. "
         f"The greedy choice takes {summary['greedy_sweeps']}.",
         "order_words": f"{summary['scanning_s']:.1f} s of {summary['duration_s']:.1f} s are spent scanning. "
         f"The sweeps run in the {summary['order']} order.{saved}",

@@ -52,10 +52,6 @@ class DistanceField:
     highest: FloatArray
     closed: bool
 
-    def node_positions(self) -> FloatArray:
-        """Return the positions of all nodes, (nx * ny * nz, 3) in m."""
-        return grid_nodes(self.origin, self.spacing, self.lower.shape)
-
 
 def grid_nodes(origin: FloatArray, spacing: float, shape: tuple[int, ...]) -> FloatArray:
     """Return the nodes of a grid in C order, (n, 3) in m."""

@@ -34,6 +34,7 @@ from cellwright.cell.chain_kinematics import (
     pose_error_into,
     track_pose,
 )
+from cellwright.cell.dependent_axes import dependent_axes
 from cellwright.cell.robot import Chain
 from cellwright.errors import InvalidInputError
 
@@ -56,6 +57,8 @@ _MORE_TRIALS = 400
 """For the elimination, which loses a branch of one pose in a hundred before an arm has the variants that it needs."""
 _REGULAR = 1e-3
 """Trials whose Jacobian has a singular value below this (m, rad) do not count there: roots run together."""
+_FEWEST_REGULAR = 200
+"""With fewer trials left the elimination counts as not fitting: what is lost once in a hundred poses must show."""
 
 Candidates = Callable[[FloatArray], FloatArray]
 """Poses (n, 4, 4) to candidate configurations (n, branches, 6), NaN rows where there are fewer."""
@@ -110,21 +113,28 @@ def inverse_kinematics_for(chain: Chain) -> InverseKinematics:
     """Choose and try out the solver for an arm.
 
     Raises:
-        InvalidInputError: If the arm has not six joints, or no solver finds its random configurations back.
+        InvalidInputError: If the arm has not six joints, is singular in every configuration, or no solver finds its
+            random configurations back.
     """
     if chain.n_joints != 6:
         raise InvalidInputError(
             f"the arm has {chain.n_joints} joints: every-branch inverse kinematics needs six; "
             "choose base and flange links with six joints between them"
         )
+    dependent = dependent_axes(chain)
+    if dependent is not None:
+        raise InvalidInputError(
+            f"the arm is singular in every configuration: {dependent}, so that its flange cannot move in all "
+            "directions: check the joint axes and origins in its URDF, and the base and flange links"
+        )
     tried: list[str] = []
     for make in (_by_parallel_axes, _by_eaik, _by_offset_wrist, _by_elimination, _by_ssik):
         solver = make(chain)
         if solver is not None:
-            missed = _missed(solver)
-            if missed == 0:
+            shortfall = _shortfall(solver)
+            if shortfall is None:
                 return solver
-            tried.append(f"{solver.family}: {missed} of {_TRIALS} not found")
+            tried.append(f"{solver.family}: {shortfall}")
     raise InvalidInputError(
         f"no inverse kinematics solver fits this arm ({'; '.join(tried)}): check the joint axes and origins in its URDF"
     )
@@ -142,33 +152,6 @@ def windings(q: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatArray:
         turns.append([value + 2.0 * math.pi * k for k in range(first, last + 1)])
     found = np.array(list(itertools.product(*turns)), float).reshape(-1, len(turns))
     return np.asarray(np.clip(found, lower, upper))
-
-
-@numba.njit(cache=True, nogil=True)
-def nearest_winding_into(
-    q: FloatArray, reference: FloatArray, lower: FloatArray, upper: FloatArray, out: FloatArray
-) -> bool:
-    """Write the full-turn shift of ``q`` within the limits that is nearest to ``reference`` to ``out``, all (joints,).
-
-    Returns whether every joint has one; if not, ``out`` is meaningless.
-    """
-    turn = 2.0 * math.pi
-    for joint in range(len(q)):
-        k = math.floor((reference[joint] - q[joint]) / turn + 0.5)
-        first = math.ceil((lower[joint] - q[joint]) / turn - 1e-12)
-        last = math.floor((upper[joint] - q[joint]) / turn + 1e-12)
-        if first > last:
-            return False
-        shifted = q[joint] + turn * min(max(k, first), last)
-        out[joint] = min(max(shifted, lower[joint]), upper[joint])
-    return True
-
-
-def nearest_winding(q: FloatArray, reference: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatArray | None:
-    """Return the full-turn shift of ``q`` within the limits that is nearest to ``reference``; None if there is none."""
-    out = np.empty(len(q))
-    found: bool = nearest_winding_into(q, reference, lower, upper, out)
-    return out if found else None
 
 
 @numba.njit(cache=True, nogil=True)
@@ -246,18 +229,22 @@ def _sorted(found: FloatArray, n_branches: int) -> FloatArray:
     return np.take_along_axis(found, order[..., None], axis=1)[:, :n_branches]
 
 
-def _missed(solver: InverseKinematics) -> int:
-    """Count random configurations that the solver does not find back from their poses."""
+def _shortfall(solver: InverseKinematics) -> str | None:
+    """Say how many random configurations the solver does not find back from their poses; None if it finds all."""
     chain = solver.chain
     generator = np.random.default_rng(0)
     q = generator.uniform(-math.pi, math.pi, (_MORE_TRIALS if solver.family == ELIMINATION else _TRIALS, 6))
     if solver.family == ELIMINATION:
         J = np.array([jacobian(chain.T_parent_joint, chain.axis, chain.T_last_flange, row) for row in q])
-        q = q[np.linalg.svd(J, compute_uv=False)[:, -1] > _REGULAR]
+        regular = np.linalg.svd(J, compute_uv=False)[:, -1] > _REGULAR
+        q = q[regular]
+        if len(q) < _FEWEST_REGULAR:
+            return f"only {len(q)} of {_MORE_TRIALS} random configurations are far enough from singular ones to tell"
     poses = flange_poses(chain.T_parent_joint, chain.axis, chain.T_last_flange, q)
     found = solver.solve(poses)
     apart = np.abs(np.remainder(found - q[:, None] + math.pi, 2.0 * math.pi) - math.pi).max(axis=2)
-    return int(np.count_nonzero(~(apart < 1e-4).any(axis=1)))
+    missed = int(np.count_nonzero(~(apart < 1e-4).any(axis=1)))
+    return f"{missed} of {len(q)} not found" if missed else None
 
 
 def _by_parallel_axes(chain: Chain) -> InverseKinematics | None:
@@ -286,7 +273,8 @@ def _by_eaik(chain: Chain) -> InverseKinematics | None:
         return None
 
     def candidates(poses: FloatArray) -> FloatArray:
-        return _stacked([solution.Q for solution in robot.calculate_IK_batched(list(poses), 2)])
+        # without a solution Q has shape (0, 0)
+        return _stacked([np.reshape(solution.Q, (-1, 6)) for solution in robot.calculate_IK_batched(list(poses), 2)])
 
     return InverseKinematics(str(robot.get_kinematic_family()), 8, chain, candidates)
 
@@ -299,13 +287,13 @@ def _by_offset_wrist(chain: Chain) -> InverseKinematics | None:
     return InverseKinematics(OFFSET_WRIST, offset_wrist.N_BRANCHES, chain, solver.candidates)
 
 
-def _by_elimination(chain: Chain) -> InverseKinematics | None:
-    """Take as many variants of the arm as find every trial back, and one to spare; None if all together do not."""
+def _by_elimination(chain: Chain) -> InverseKinematics:
+    """Take as many variants of the arm as find every trial back, and one to spare; all but that one if none do."""
     arms = general_arm.variants(chain)
     for count in range(1, len(arms)):
-        if _missed(_eliminating(chain, arms[:count])) == 0:
+        if _shortfall(_eliminating(chain, arms[:count])) is None:
             return _eliminating(chain, arms[: count + 1])
-    return None
+    return _eliminating(chain, arms[:-1])
 
 
 def _eliminating(chain: Chain, arms: list[general_arm.GeneralArm]) -> InverseKinematics:

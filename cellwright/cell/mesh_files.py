@@ -81,6 +81,8 @@ def _by_trimesh(name: str, content: bytes, suffix: str) -> tuple[FloatArray, Int
         raise InvalidInputError(
             f"mesh file {name!r} cannot be read as {suffix[1:].upper()} ({said}): convert it to STL"
         ) from failure
+    if len(faces) and (vertices.ndim != 2 or vertices.shape[1] != 3 or faces.max() >= len(vertices)):
+        raise InvalidInputError(f"mesh file {name!r} is malformed (vertices or faces are incomplete): export it again")
     if not len(faces) or not np.isfinite(vertices[faces.ravel()]).all():
         raise InvalidInputError(f"mesh file {name!r} has no triangles, or some that are not finite: export it again")
     return vertices, faces

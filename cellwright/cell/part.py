@@ -19,6 +19,8 @@ import numpy as np
 
 from cellwright.arrays import AnyArray, FloatArray, Int32Array, IntArray
 from cellwright.cell.bodies import Box, Capsule, Cylinder, Mesh, Shape, Sphere
+from cellwright.cell.quiet_output import quiet_output
+from cellwright.cell.text_stl import is_text_stl, text_stl_corners, wide_text
 from cellwright.cell.transforms import apply, pose
 from cellwright.errors import InvalidInputError
 
@@ -45,9 +47,8 @@ _READER_FAULTS = (
     zlib.error,
 )
 
-_TEXT_VERTEX = re.compile(rb"\bvertex\s+([-+.\dEeNnAaIiFf]+)\s+([-+.\dEeNnAaIiFf]+)\s+([-+.\dEeNnAaIiFf]+)", re.I)
+_OBJ_NOUGHT = re.compile(rb"^[ \t]*f[ \t](?:[^\r\n#]*?[ \t])??0+(?=[/\s]|\Z)", re.M)
 _PLY_FACES = re.compile(rb"^element face (\d{1,12})\s*$", re.M)
-_TEXT_FACET = re.compile(rb"\bfacet\s+normal\b", re.I)
 
 _STEP_CHORD_SHARE = 2e-4
 """Chord error of a tessellated STEP file as a share of its diagonal: 0.1 mm on a part of half a metre."""
@@ -154,10 +155,11 @@ def _cylinder_reach(shape: Cylinder, z: FloatArray) -> float:
 def _read_stl(name: str, content: bytes) -> FileMesh:
     n_said = int.from_bytes(content[80:84], "little") if len(content) >= 84 else 0
     n_there = max(0, len(content) - 84) // 50
+    if wide_text(content):
+        raise InvalidInputError(f"{name} is text in UTF-16, but an STL is text in ASCII or UTF-8: save it so")
     # some programs begin binary files with the word that marks text
-    says_text = content[:512].lstrip()[:5].lower() == b"solid" and len(content) != 84 + 50 * n_said
-    if says_text and b"facet" in content[:4096].lower():
-        return _read_text_stl(name, content)
+    if len(content) != 84 + 50 * n_said and is_text_stl(content):
+        return _soup(text_stl_corners(name, content))
     if len(content) < 84 or n_said > n_there:
         raise InvalidInputError(
             f"{name} is no STL, or is cut off: it says {n_said} faces but holds {n_there}: export the part again"
@@ -166,20 +168,6 @@ def _read_stl(name: str, content: bytes) -> FileMesh:
     corners = np.frombuffer(content, record, count=n_said, offset=84)["corners"]
     with np.errstate(invalid="ignore"):  # signalling NaNs; they are refused later, with their number
         return _soup(corners.reshape(-1, 3).astype(np.float64))
-
-
-def _read_text_stl(name: str, content: bytes) -> FileMesh:
-    try:
-        corners = np.array(_TEXT_VERTEX.findall(content), dtype=np.float64).reshape(-1, 3)
-    except ValueError as error:
-        raise InvalidInputError(f"{name} is a text STL with a malformed vertex: export the part again") from error
-    n_facets = len(_TEXT_FACET.findall(content))
-    if len(corners) != 3 * n_facets:
-        raise InvalidInputError(
-            f"{name} is a text STL that is cut off or malformed: {n_facets} facets but {len(corners)} corners: "
-            "export the part again"
-        )
-    return _soup(corners)
 
 
 def _soup(corners: FloatArray) -> FileMesh:
@@ -196,11 +184,13 @@ def _read_step(name: str, content: bytes) -> FileMesh:
         raise InvalidInputError(f"{name} is cut off (END-ISO-10303-21 is missing): export it again")
 
     def tessellate(chord_mm: float, angle_rad: float) -> FileMesh:
-        binary = cascadio.load(
-            content, file_type="step", tol_linear=chord_mm, tol_angular=angle_rad, use_parallel=False
-        )
+        with quiet_output() as said:
+            binary = cascadio.load(
+                content, file_type="step", tol_linear=chord_mm, tol_angular=angle_rad, use_parallel=False
+            )
         if not binary:
-            raise InvalidInputError(f"{name} is a malformed STEP file, or holds no shape: export it again")
+            words = f" ({said[0]})" if said else ""
+            raise InvalidInputError(f"{name} is a malformed STEP file, or holds no shape{words}: export it again")
         return _from_scene(name, binary, ".glb")
 
     rough = tessellate(1e3, 0.5)
@@ -219,6 +209,10 @@ def _read_by_trimesh(name: str, content: bytes, suffix: str) -> FileMesh:
             raise InvalidInputError(f"{name} is no 3MF file (no readable zip archive): export it again") from error
         if unpacked > _MAX_UNPACKED_BYTES:
             raise InvalidInputError(f"{name} unpacks to {unpacked / 1e9:.0f} GB: simplify the part")
+    nought = _OBJ_NOUGHT.search(content) if suffix == ".obj" else None
+    if nought is not None:  # trimesh takes it as the last vertex
+        line = content.count(b"\n", 0, nought.start()) + 1
+        raise InvalidInputError(f"{name}, line {line}: a face names vertex 0, but OBJ counts from 1: export it again")
     mesh = _from_scene(name, content, suffix)
     if suffix == ".ply":  # trimesh passes over rows that are not there
         said = _PLY_FACES.search(content[:65536])
@@ -240,6 +234,9 @@ def _from_scene(name: str, content: bytes, suffix: str) -> FileMesh:
     except _READER_FAULTS as error:
         said = str(error).splitlines()[0][:100] if str(error) else type(error).__name__
         raise InvalidInputError(f"{name} is malformed ({said}): export the part again") from error
+    flat = next((mesh for mesh in meshes if np.ndim(mesh.vertices) != 2 or np.shape(mesh.vertices)[1] != 3), None)
+    if flat is not None:
+        raise InvalidInputError(f"{name} is malformed (some vertices have not three coordinates): export it again")
     if not meshes:
         raise InvalidInputError(f"{name} holds no triangles (a point cloud or an empty scene?): give a mesh")
     first = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])

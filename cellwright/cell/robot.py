@@ -27,6 +27,9 @@ BASE_NAMES = ("base_link",)
 FLANGE_NAMES = ("tool0", "fanuc_flange", "flange")
 """By ROS-Industrial's convention z of `tool0` (FANUC: `fanuc_flange`) points out of the flange; of `flange` it is x."""
 
+SHORTEST_REACH_M, LONGEST_REACH_M = 0.01, 50.0
+"""No arm is shorter or longer, base to flange, stretched; outside, its URDF is in other units than m."""
+
 JointValues = Mapping[str, float] | Sequence[float] | FloatArray
 """One number a joint in joint order, a single one for all joints, or numbers by joint name for some of them."""
 
@@ -114,11 +117,8 @@ class Robot:
                 another, or a limit is missing or makes no sense.
         """
         tree = parse_urdf(urdf_text)
-        base = base_link or _base_link(tree)
-        tree.path(base, base)
-        flange = flange_link or _flange_link(tree, base)
+        base, flange, joints = arm_joints(tree, base_link, flange_link)
         path = tree.path(base, flange)
-        joints = _moving(path, base, flange)
         names = tuple(joint.name for joint in joints)
         speed = _limits(joints, "velocity", _values("max_velocity", max_velocity, names))
         given = _values("max_acceleration", max_acceleration, names)
@@ -174,6 +174,35 @@ class Robot:
 
         J: FloatArray = jacobian(self.chain.T_parent_joint, self.chain.axis, self.chain.T_last_flange, _row(q))
         return J
+
+
+def arm_joints(tree: UrdfTree, base_link: str | None, flange_link: str | None) -> tuple[str, str, list[UrdfJoint]]:
+    """Return an arm's base link, flange link and moving joints; links that are not given are found.
+
+    Raises:
+        InvalidInputError: If a link does not exist, or not all moving joints between them are plain revolute ones.
+    """
+    base = base_link or _base_link(tree)
+    tree.path(base, base)
+    flange = flange_link or _flange_link(tree, base)
+    return base, flange, _moving(tree.path(base, flange), base, flange)
+
+
+def reach_fault(robot: Robot) -> str | None:
+    """Say what is wrong with an arm's size, or ``None`` if it is plausible; a URDF in mm is the usual slip."""
+    lengths = [math.hypot(*T[:3, 3].tolist()) for T in (*robot.chain.T_parent_joint, robot.chain.T_last_flange)]
+    reach = sum(lengths)
+    if reach > LONGEST_REACH_M:
+        return (
+            f"the arm reaches {reach:.6g} m, but {LONGEST_REACH_M:g} m is the most that can be planned: are its "
+            "lengths in mm? A URDF's are in m"
+        )
+    if robot.n_joints > 2 and reach < SHORTEST_REACH_M:  # a turntable has no length
+        return (
+            f"the arm reaches {reach * 1e3:.6g} mm, but {SHORTEST_REACH_M * 1e3:g} mm is the least that can be "
+            "planned: are its lengths in km, or its joints without <origin>? A URDF's lengths are in m"
+        )
+    return None
 
 
 def _row(q: FloatArray) -> FloatArray:

@@ -154,11 +154,6 @@ class Scene:
             smallest = min(smallest, max(0.0, float(found)))
         return smallest
 
-    def body_poses(self, q: FloatArray) -> FloatArray:
-        """Return ``T_world_body`` (bodies, 4, 4) at a configuration."""
-        self._near_pairs(q, 0.0)
-        return self._poses.copy()
-
     def _near_pairs(self, q: FloatArray, margin: float) -> list[int]:
         count = near_pairs_at(
             self._chain.T_parent_joint,

@@ -8,7 +8,7 @@ any number of configurations at once; a test holds them to pinocchio to 1e-12.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree
@@ -197,10 +197,6 @@ class SerialArm:
         return chain_model(
             self.urdf, self.name, self.tree, self.base_link, self.joint_names, self.lower, self.upper, self.max_velocity
         )
-
-    def with_limits(self, **limits: FloatArray) -> SerialArm:
-        """Return the arm with some of ``lower``, ``upper``, ``max_velocity``, ``max_acceleration`` replaced."""
-        return replace(self, **{key: np.array(value, float) for key, value in limits.items()})  # type: ignore[arg-type]
 
     def link_poses(self, q: FloatArray) -> FloatArray:
         """Return the poses (..., joints + 1, 4, 4) of base (row 0, identity) and links at ``q`` (..., joints)."""

@@ -17,6 +17,7 @@ from cellwright.arrays import FloatArray, Int8Array, Int32Array
 from cellwright.cell.ignored_pairs import NEVER_MARGIN, Reason
 
 N_SAMPLES = 2000
+"""Random configurations that pairs of hulls are sorted by."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,6 +7,7 @@ about z whose length does not count the caps. Visual geometry is not looked at.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from pathlib import Path, PurePosixPath
 from xml.etree import ElementTree
@@ -16,7 +17,7 @@ import numpy as np
 from cellwright.arrays import FloatArray
 from cellwright.cell.bodies import Body, Box, Capsule, Cylinder, Shape, Sphere
 from cellwright.cell.mesh_files import mesh_from_bytes
-from cellwright.cell.robot import Robot
+from cellwright.cell.robot import LONGEST_REACH_M, Robot
 from cellwright.cell.urdf_tree import UrdfTree, numbers_of, origin_of, parse_urdf
 from cellwright.errors import InvalidInputError, listed
 
@@ -35,12 +36,64 @@ def collision_bodies(robot: Robot, read_mesh: ReadMesh) -> tuple[Body, ...]:
     for link, element in robot.tree.links.items():
         number, T_parent_link = attached[link]
         collisions = element.findall("collision")
-        for row, collision in enumerate(collisions, 1):
-            subject = f"collision geometry of link {link!r}"
-            name = link if len(collisions) == 1 else f"{link}.{row}"
+        for name, collision in zip(_names(link, len(collisions)), collisions):
+            subject = _subject(link)
             shape = collision_shape(collision, subject, read_mesh)
+            _check_size(subject, origin_of(collision, subject), shape)
             bodies.append(Body(name, shape, number, T_parent_link @ origin_of(collision, subject)))
     return tuple(bodies)
+
+
+def body_names(tree: UrdfTree) -> list[str]:
+    """Return the names that `collision_bodies` gives."""
+    return [name for link, each in tree.links.items() for name in _names(link, len(each.findall("collision")))]
+
+
+def check_geometry(tree: UrdfTree) -> None:
+    """Check all collision geometry but the meshes' files.
+
+    Raises:
+        InvalidInputError: If some is malformed or longer than any arm; the link is named.
+    """
+    for link, element in tree.links.items():
+        for collision in element.findall("collision"):
+            subject = _subject(link)
+            origin = origin_of(collision, subject)
+            mesh = collision.find("geometry/mesh")
+            if mesh is None:
+                _check_size(subject, origin, collision_shape(collision, subject, meshes_among({})))
+            else:
+                _mesh_name(mesh, subject)
+                _check_size(subject, origin, None)
+
+
+def _check_size(subject: str, origin: FloatArray, shape: Shape | None) -> None:
+    size = max(math.hypot(*origin[:3, 3].tolist()), *(() if shape is None else _extents(shape)), 0.0)
+    if size > LONGEST_REACH_M:
+        raise InvalidInputError(
+            f"{subject} has a length or offset of {size:.6g} m, but {LONGEST_REACH_M:g} m is the most that can be "
+            "planned: is it in mm? A URDF's lengths are in m, and its meshes are scaled to m by `scale`"
+        )
+
+
+def _extents(shape: Shape) -> tuple[float, ...]:
+    match shape:
+        case Box(size):
+            return size
+        case Cylinder(radius, length) | Capsule(radius, length):
+            return 2.0 * radius, length
+        case Sphere(radius):
+            return (2.0 * radius,)
+    low, high = shape.vertices.min(axis=0), shape.vertices.max(axis=0)
+    return tuple((high - low).tolist())
+
+
+def _names(link: str, count: int) -> list[str]:
+    return [link] if count == 1 else [f"{link}.{number}" for number in range(1, count + 1)]
+
+
+def _subject(link: str) -> str:
+    return f"collision geometry of link {link!r}"
 
 
 def mesh_references(urdf_text: str) -> tuple[str, ...]:
@@ -136,15 +189,20 @@ def collision_shape(collision: ElementTree.Element, subject: str, read_mesh: Rea
         case "capsule":
             return Capsule(_length(element, "radius", subject), _length(element, "length", subject))
         case "mesh":
-            filename = element.get("filename", "")
-            if not filename:
-                raise InvalidInputError(f"<mesh> of {subject} has no filename: add it")
+            filename = _mesh_name(element, subject)
             scale = numbers_of(element, "scale", 3, f"<mesh> of {subject}") if element.get("scale") else np.ones(3)
             try:
                 return mesh_from_bytes(PurePosixPath(filename).name, read_mesh(filename), scale)
             except InvalidInputError as failure:
                 raise InvalidInputError(f"{subject}: {failure}") from failure
     raise InvalidInputError(f"{subject} is a <{element.tag}>: use box, cylinder, sphere, capsule or mesh")
+
+
+def _mesh_name(element: ElementTree.Element, subject: str) -> str:
+    filename = element.get("filename", "")
+    if not filename:
+        raise InvalidInputError(f"<mesh> of {subject} has no filename: add it")
+    return filename
 
 
 def _length(element: ElementTree.Element, key: str, subject: str) -> float:

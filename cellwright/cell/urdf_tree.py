@@ -176,7 +176,7 @@ def _joint(element: ElementTree.Element) -> UrdfJoint:
     axis = np.array([1.0, 0.0, 0.0])
     if axis_element is not None:
         axis = _numbers(axis_element, "xyz", 3, f"<axis> of {subject}", (1.0, 0.0, 0.0))
-    length = float(np.linalg.norm(axis))
+    length = math.hypot(*axis)
     if kind in ("revolute", "continuous", "prismatic") and length < 1e-9:
         raise InvalidInputError(f"{subject} has the axis {axis.tolist()}: give it a direction")
     limit = element.find("limit")

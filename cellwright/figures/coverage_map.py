@@ -44,6 +44,9 @@ _DIRECTIONS_DEG = [(-60, 28), (30, 28), (120, 28), (-150, -28)]
 _TALL = 0.8
 """Pictures whose width is a smaller share of their height than this stand in one row."""
 
+_FLAT = 0.8
+"""Share of the brightness of faces not to be measured that does not depend on the light."""
+
 _TURN = 2.1
 """Spacings that unit normals are stretched to."""
 
@@ -94,6 +97,10 @@ def coverage_picture(
         found = colours[wanted]
         found[near] = palette[cause[nearest[near]]]
         colours[wanted] = found
+        plain = hits.hit.copy()
+        plain[wanted] = ~near
+        # hardly shaded, so that it looks like its colour in the legend
+        colours[plain] *= (_FLAT / hits.shade[plain] + 1 - _FLAT)[:, None]
         views.append(paint(hits, colours))
     return _sheet(views, cause)
 

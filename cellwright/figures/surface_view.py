@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cellwright.arrays import BoolArray, FloatArray, Int32Array
+from cellwright.arrays import BoolArray, FloatArray, Int32Array, IntArray
 
 _BORDER = 1.04
 """Pictures are larger than the mesh by this factor."""
@@ -71,11 +71,23 @@ def cameras_around(vertices: FloatArray, directions: Sequence[tuple[float, float
     return [Camera(*way, n_columns, n_rows, scale) for way in directions]
 
 
-def cast_pictures(vertices: FloatArray, faces: Int32Array, cameras: Sequence[Camera]) -> list[PixelHits]:
-    """Cast one ray a pixel at a mesh, vertices (n, 3) in m and faces (m, 3), for each camera."""
+def camera_on(points: FloatArray, way: tuple[float, float], pixels: tuple[int, int]) -> Camera:
+    """Return a camera whose picture of a given width and height holds all points, their box's middle in its middle."""
+    extents = 2 * np.abs((points - _centre(points)) @ _axes(*way)[:2].T).max(axis=0)
+    scale = float((extents / np.array(pixels)).max()) * _BORDER
+    return Camera(*way, *pixels, max(scale, 1e-9))
+
+
+def cast_pictures(
+    vertices: FloatArray, faces: IntArray | Int32Array, cameras: Sequence[Camera], *, middle: FloatArray | None = None
+) -> list[PixelHits]:
+    """Cast one ray a pixel at a mesh, vertices (n, 3) in m and faces (m, 3), for each camera.
+
+    Cameras look at ``middle`` (3,), the middle of the mesh's box if left out.
+    """
     import open3d as o3d
 
-    middle = _centre(vertices)
+    middle = _centre(vertices) if middle is None else middle
     scene = o3d.t.geometry.RaycastingScene()
     scene.add_triangles(
         o3d.core.Tensor((vertices - middle).astype(np.float32)), o3d.core.Tensor(faces.astype(np.uint32))

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import heapq
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -30,6 +31,7 @@ TOLERANCE = 0.01
 """The smallest distance is searched until it is known to this share of it."""
 MEASUREMENTS = 3000
 """Distances measured for that at most. Freedom from contact is proven however many it takes."""
+_CUTS_PER_REPORT = 16
 _FINEST = 2.0**-12
 """Share of a step that is not cut further."""
 
@@ -79,6 +81,7 @@ def prove_clearance(
     *,
     tolerance: float = TOLERANCE,
     measurements: int = MEASUREMENTS,
+    progress: Callable[[float], None] = lambda share: None,
 ) -> Clearance:
     """Bound the smallest distance of bodies on the curve through ``motion``, searched from the times ``time`` (n,).
 
@@ -89,14 +92,17 @@ def prove_clearance(
         checker: The engine that measures distances.
         tolerance: Share of the smallest distance to which it is to be known.
         measurements: After so many distances freedom from contact is still proven, and no more.
+        progress: Hears now and then how far the search is, from 0 to 1, by its bound or by the distances measured.
     """
     stretches = _Stretches(motion, time, cell, checker)
     best, best_pair, best_at = math.inf, -1, 0.0
     heap = stretches.whole()
+    told = _Told(progress, heap[0][0] if heap else 0.0, measurements)
     while heap and not heap[0][0] >= best - max(tolerance * best, CONTACT):
         least, pair, a, b, d_a, d_b = heap[0]
         if best <= CONTACT or b - a <= _FINEST or (stretches.n_measured >= measurements and least > CONTACT):
             break
+        told.of(least, best, stretches.n_measured)
         heapq.heappop(heap)
         if math.isnan(d_a):  # a pair that only spheres have spoken of
             parts = stretches.measured(pair, best)
@@ -116,6 +122,22 @@ def prove_clearance(
         names = cell.bodies[row].name, cell.bodies[other].name
     at = float(np.interp(best_at, np.arange(len(time)), time))
     return Clearance(best, proven, names, at, stretches.n_measured)
+
+
+class _Told:
+    """Tells how far the search is: never less than before, although the bound and what it must reach both move."""
+
+    def __init__(self, progress: Callable[[float], None], first: float, measurements: int) -> None:
+        self._progress, self._first, self._measurements = progress, first, measurements
+        self._share, self._n_cuts = 0.0, 0
+
+    def of(self, least: float, best: float, n_measured: int) -> None:
+        """Take the least bound, the smallest distance found and the number of distances; report now and then."""
+        closed = (least - self._first) / (best - self._first) if self._first < best < math.inf else 0.0
+        self._share = min(1.0, max(self._share, closed, n_measured / self._measurements))
+        if self._n_cuts % _CUTS_PER_REPORT == 0:
+            self._progress(self._share)
+        self._n_cuts += 1
 
 
 Stretch = tuple[float, float, float, float]

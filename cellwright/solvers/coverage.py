@@ -37,6 +37,7 @@ class CandidatePieces:
         outcome: 0 if a candidate has a piece, else the `Cause`, (candidates,).
         blocked_by: Body that stopped a candidate, -1 none, (candidates,).
         selected: Whether a candidate's best piece is executed, (candidates,).
+        connected: Whether a candidate could be executed in a plan: no attempt to connect it failed, (candidates,).
     """
 
     sweeps: Sweeps
@@ -46,6 +47,7 @@ class CandidatePieces:
     outcome: Int8Array
     blocked_by: Int32Array
     selected: BoolArray
+    connected: BoolArray
 
     def as_sweeps(self, rows: IntArray) -> Sweeps:
         """Return pieces, ``rows`` of them, as sweeps of limited travel."""
@@ -58,7 +60,7 @@ class Misses:
     """Why points were not measured.
 
     Attributes:
-        coverable: Whether an executable piece measures the point, (points,).
+        coverable: Whether an executable piece measures the point, connected or not, (points,).
         cause: (points,).
         blocked_by: For collisions the body that stopped the most candidates, -1 none, (points,).
     """
@@ -113,9 +115,10 @@ def explain_misses(
     """Find out why points (points, 3) with unit normals (points, 3) were not measured.
 
     A point on the best piece of a selected candidate, which is what a plan executes, was not scanned, one on any
-    other piece not selected. For the rest all candidates are asked, whatever their travel: if none measures the
-    point, the cause is the furthest test of the sensor model that it reached; else the furthest that one of the
-    measuring candidates came (its outcome, or too short if its pieces end before the point).
+    other piece not selected; where only pieces of unconnected candidates measure it, it is not connected. For the rest
+    all candidates are asked, whatever their travel: if none measures the point, the cause is the furthest test of the
+    sensor model that it reached; else the furthest that one of the measuring candidates came (its outcome, or too short
+    if its pieces end before the point).
     """
     cause = np.full(len(points), Cause.NOT_SELECTED, np.int8)
     blocked_by = np.full(len(points), -1, np.int32)
@@ -127,8 +130,13 @@ def explain_misses(
     cause[planned] = Cause.NOT_SCANNED
     others = np.flatnonzero(~planned)
     coverable = planned.copy()
-    every = pieces.as_sweeps(np.arange(len(pieces.view)))
-    coverable[others] = ask(points[others], normals[others], every, progress=lambda share: tell(0.1 + 0.4 * share))
+    is_connected = pieces.connected[pieces.view]
+    every = pieces.as_sweeps(np.flatnonzero(is_connected))
+    coverable[others] = ask(points[others], normals[others], every, progress=lambda share: tell(0.1 + 0.3 * share))
+    others = np.flatnonzero(~coverable)
+    alone = pieces.as_sweeps(np.flatnonzero(~is_connected))
+    coverable[others] = ask(points[others], normals[others], alone, progress=lambda share: tell(0.4 + 0.1 * share))
+    cause[others[coverable[others]]] = Cause.NOT_CONNECTED
     rest = np.flatnonzero(~coverable)
     for block in slices_of(len(rest), max(1, _PAIRS_AT_ONCE // max(len(pieces.sweeps), 1))):
         rows = rest[block]

@@ -74,6 +74,14 @@ class TimedMotion:
             self.acceleration[backwards],
         )
 
+    def slowed(self, factor: float) -> TimedMotion:
+        """Return the motion taking ``factor`` times as long along the same curve."""
+        return TimedMotion(self.time * factor, self.position, self.velocity / factor, self.acceleration / factor**2)
+
+    def of_first(self, count: int) -> TimedMotion:
+        """Return the motion of the first ``count`` coordinates alone."""
+        return TimedMotion(self.time, self.position[:, :count], self.velocity[:, :count], self.acceleration[:, :count])
+
     def then(self, following: TimedMotion) -> TimedMotion:
         """Return this motion with another appended, which begins where this one ends."""
         return TimedMotion(
@@ -109,13 +117,6 @@ def least_time(q_a: FloatArray, q_b: FloatArray, limits: Limits) -> FloatArray:
     Every joint alone needs its trapezoid, whatever the others do; the slowest joint counts.
     """
     return np.asarray(np.max(trapezoid_time(q_b - q_a, limits.velocity, limits.acceleration), axis=-1))
-
-
-def straight_time(q_a: FloatArray, q_b: FloatArray, limits: Limits) -> FloatArray:
-    """Return the least time of the straight joint motion, (...) of (..., joints): never below `least_time`."""
-    speed, acceleration = _parameter_limits(np.asarray(q_b - q_a), limits)
-    moves = np.isfinite(speed)
-    return np.where(moves, trapezoid_time(np.ones_like(speed), np.where(moves, speed, 1.0), acceleration), 0.0)
 
 
 def time_straight(q_a: FloatArray, q_b: FloatArray, limits: Limits, sample: float) -> TimedMotion:
@@ -249,11 +250,12 @@ def _merged(time: FloatArray, fixed: FloatArray) -> FloatArray:
         if moment - kept[-1] > SHORTEST_INTERVAL and fixed[-1] - moment > SHORTEST_INTERVAL:
             kept.append(moment)
     kept.append(fixed[-1])
-    near = np.abs(time[:, None] - np.array(kept)).min(axis=1) <= SHORTEST_INTERVAL
-    return np.sort(np.concatenate([kept, time[~near]]))
+    rising = np.array(kept)
+    after = np.minimum(np.searchsorted(rising, time), len(rising) - 1)
+    gap = np.minimum(np.abs(time - rising[after]), np.abs(time - rising[np.maximum(after - 1, 0)]))
+    return np.sort(np.concatenate([rising, time[gap > SHORTEST_INTERVAL]]))
 
 
 def _slowed(motion: TimedMotion, limits: Limits) -> TimedMotion:
     shares = shares_of_limits(motion.time, motion.position, motion.velocity, limits.velocity, limits.acceleration)
-    factor = max(float(shares[0].max()), float(shares[1].max()) ** 0.5, 1.0)
-    return TimedMotion(motion.time * factor, motion.position, motion.velocity / factor, motion.acceleration / factor**2)
+    return motion.slowed(max(float(shares[0].max()), float(shares[1].max()) ** 0.5, 1.0))

@@ -32,6 +32,34 @@ STATES_SHARE = 0.85
 ACCELERATION_WINDOW = 8e-3
 """Seconds over which the scanner's acceleration is a mean: shorter ones would show rounding."""
 
+MENDS = {
+    "scanner acceleration on a sweep": "plan again with lower tool_acceleration_m_s2 or scan_speed_m_s, or with lower "
+    "max_acceleration_rad_s2",
+    "scanner speed on a sweep": "plan again with lower scan_speed_m_s",
+    **dict.fromkeys(
+        ("joint speed of the curve", "stated joint speed", "joint speed by differences"),
+        "plan again with lower max_velocity_rad_s",
+    ),
+    **dict.fromkeys(
+        ("joint acceleration of the curve", "stated joint acceleration", "joint acceleration by differences"),
+        "plan again with lower max_acceleration_rad_s2",
+    ),
+    **dict.fromkeys(
+        ("colliding states", "distance of bodies, between checked states too"), "plan again with more clearance_m"
+    ),
+    **dict.fromkeys(
+        (
+            "scanner off its planned line",
+            "scanner turned off its planned orientation",
+            "scanner turning during a sweep",
+            "stated travel off the executed one",
+        ),
+        "plan again with lower scan_speed_m_s",
+    ),
+}
+"""What can help when a check fails, by its name."""
+MEND_OF_OTHERS = "no setting mends this, report it with the cell file"
+
 
 class StateChecker(PairChecker, Protocol):
     """What verification asks of a collision engine."""
@@ -117,8 +145,7 @@ def require(checks: Sequence[Check]) -> None:
     raise InfeasibleError(
         f"the plan fails its verification: {worst.name} is {worst.found:.6g} {worst.unit} where "
         f"{worst.permitted:.6g} {worst.unit} is {asked}{worst.where and ', ' + worst.where}{others}: "
-        "plan again with more clearance_m, or with lower max_velocity_rad_s or max_acceleration_rad_s2, and do not run "
-        "this plan"
+        f"{MENDS.get(worst.name, MEND_OF_OTHERS)}, and do not run this plan"
     )
 
 
@@ -259,7 +286,13 @@ def check_collisions(
     ]
     clearance = None
     if collisions == 0:
-        clearance = prove_clearance(plan, time, cell, checker)
+        clearance = prove_clearance(
+            plan,
+            time,
+            cell,
+            checker,
+            progress=lambda share: progress(STATES_SHARE + (1.0 - STATES_SHARE) * share),
+        )
         where = f"at {clearance.time:.3f} s: {' and '.join(clearance.bodies)}"
         checks.append(
             Check(

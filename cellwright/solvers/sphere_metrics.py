@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 
-from cellwright.arrays import BoolArray, FloatArray
+from cellwright.arrays import FloatArray
 from cellwright.cell.surface_distance import distances
 from cellwright.cell.surface_sampling import sample_randomly
 from cellwright.solvers.sphere_body import SphereBody
@@ -121,11 +121,6 @@ def union_gaps(points: FloatArray, centres: FloatArray, radii: FloatArray) -> Fl
 def union_volume(centres: FloatArray, radii: FloatArray) -> float:
     """Return the volume of a union of balls: columns along z, each an exact union of intervals."""
     return float(_volume(np.ascontiguousarray(centres), np.ascontiguousarray(radii), _COLUMNS))
-
-
-def inside_union(points: FloatArray, centres: FloatArray, radii: FloatArray) -> BoolArray:
-    """Tell which points (n, 3) lie in a ball, (n,)."""
-    return np.asarray(union_gaps(points, centres, radii) <= 0.0)
 
 
 @numba.njit(cache=True, nogil=True)

@@ -18,6 +18,7 @@ class StitchSettings:
         trace_step: Travel between traced poses.
         step: Largest joint turn between checked states while searching.
         confirm_step, confirm_angle: Furthest motion of any point, largest joint turn while confirming.
+        sweep_clearance: Distance that the scene keeps by which sweeps are confirmed, to tell what was asked for.
         max_alternatives: Branches and windings tried of each sweep.
         roadmap: Size of the roadmap.
         exact_up_to: Most sweeps for the exact order.
@@ -32,6 +33,7 @@ class StitchSettings:
     step: float = 0.02
     confirm_step: float = 1e-3
     confirm_angle: float = 0.01
+    sweep_clearance: float = 0.0
     max_alternatives: int = 8
     roadmap: RoadmapSize = field(default_factory=RoadmapSize)
     exact_up_to: int = 15

@@ -21,7 +21,7 @@ from cellwright.solvers.path_timing import least_time
 from cellwright.solvers.planned_sweep import PlannedSweep
 from cellwright.solvers.stitched_plan import LeftOut, StitchedPlan, StitchedSegment, StitchSettings
 from cellwright.solvers.sweep_access import NamingChecker, SweepAccess
-from cellwright.solvers.sweep_alternatives import SweepOption
+from cellwright.solvers.sweep_alternatives import PathKey, SweepOption
 from cellwright.solvers.sweep_order import (
     SAME,
     ConnectionCosts,
@@ -96,7 +96,7 @@ class _Stitcher:
         self._sweep_checker, self._sweeps, self._settings, self._progress = sweep_checker, sweeps, settings, progress
         self._access = SweepAccess(cell, checker, sweeps, settings, rng, lambda share: progress(TRACING * share))
         self._to_go = 1.0 - TRACING
-        self._confirmed_paths: set[tuple[int, int]] = set()
+        self._confirmed_paths: set[tuple[int, PathKey]] = set()
         self._left_out: dict[int, str] = {}
         self._current: list[SweepOption] = []
         self._costs: ConnectionCosts
@@ -175,14 +175,14 @@ class _Stitcher:
         return [number for number in self._executed() if not self._access.usable(number)]
 
     def _leave_the_loneliest_out(self) -> None:
-        """Leave out the sweep with the fewest connections: all can be reached, but not in one order."""
+        """Leave out the sweep with the fewest connections: all can be reached, but no order was found for all."""
         finite = np.isfinite(self._costs.value)
         counts: dict[int, int] = dict.fromkeys(self._executed(), 0)
         for row, option in enumerate(self._current):
             counts[option.sweep] += int(finite[row, :-1].sum() + finite[:-1, row].sum())
         loneliest = min(counts, key=lambda number: (counts[number], -number))
         self._left_out[loneliest] = (
-            f"no order connects it with the other {len(counts) - 1} sweeps, on a roadmap of "
+            f"no order was found that connects it with the other {len(counts) - 1} sweeps, on a roadmap of "
             f"{self._access.n_nodes} configurations"
         )
 

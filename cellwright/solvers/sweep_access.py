@@ -27,6 +27,8 @@ from cellwright.solvers.stitched_plan import StitchSettings
 from cellwright.solvers.sweep_alternatives import (
     TRACKING_STEPS,
     TRACKING_TOLERANCE,
+    AlternativeKey,
+    PathKey,
     SweepOption,
     SweepSettings,
     flange_targets,
@@ -87,9 +89,9 @@ class SweepAccess:
         self.connections = Connections(
             checker, self._roadmap, self.corners, self.limits, steps, shortening_rng, hub=self.start
         )
-        self._barred_paths: dict[tuple[int, int], str] = {}
-        self._unreached: set[tuple[int, int]] = set()
-        self._escapes: set[tuple[int, int]] = set()
+        self._barred_paths: dict[tuple[int, PathKey], str] = {}
+        self._unreached: set[tuple[int, AlternativeKey]] = set()
+        self._escapes: set[tuple[int, AlternativeKey]] = set()
 
     @property
     def n_nodes(self) -> int:
@@ -155,7 +157,10 @@ class SweepAccess:
             )
         where = [text for (sweep_number, _), text in self._barred_paths.items() if sweep_number == number]
         if where:
-            reasons.append(f"it comes closer than the clearance on {len(where)} branches ({listed(where)})")
+            least = self._settings.sweep_clearance
+            near = f"bodies come closer than {least * 1e3:.3g} mm" if least > 0.0 else "bodies collide"
+            poses = "between the poses at which it was followed"
+            reasons.append(f"{near} {poses}, on {len(where)} branches ({listed(where)})")
         return "; ".join(reasons)
 
     def _escapes_from(self, option: SweepOption) -> bool:

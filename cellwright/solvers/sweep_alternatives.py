@@ -1,8 +1,10 @@
 """All ways in which the arm can execute a straight sweep: inverse kinematics branches, windings, directions.
 
 A piece of a sweep is followed by Newton's method in small steps of travel, so that the joint path stays on its
-branch; between the steps it is a cubic spline. A winding adds whole turns to joints whose limits have room for
-them along the whole sweep; it moves as its branch does and collides where its branch does.
+branch; between the steps it is a cubic spline. Steps on which the spline would shake the scanner are halved, and a
+timed motion that still does so has its states closer together or, if that is not enough, is slowed. A winding adds
+whole turns to joints whose limits have room for them along the whole sweep; it moves as its branch does and collides
+where its branch does.
 """
 
 from __future__ import annotations
@@ -21,6 +23,7 @@ from cellwright.errors import SolverError
 from cellwright.solvers.path_timing import Limits, TimedMotion, time_path
 from cellwright.solvers.planned_sweep import PlannedSweep
 from cellwright.solvers.roadmap import travel_time
+from cellwright.solvers.scanner_motion import REFINEMENTS, refined_trace, scanner_acceleration, steps_that_bend
 
 TRACKING_TOLERANCE = 1e-8
 """Metres and rad: far below what is verified, far above rounding."""
@@ -30,6 +33,18 @@ LARGEST_TURN = 0.2
 TURN = 2.0 * np.pi
 FINER_TRACE = 0.25
 """Share of the step in which a sweep is traced again when no branch could be followed: near a singularity it helps."""
+
+BEND_SHARE = 0.002
+"""Share of the scanner's permitted acceleration that bends of the traced path may cause at full speed."""
+SHAKE_TOLERANCE = 0.005
+"""Share by which the scanner's acceleration may exceed its limit; half of what verification lets pass."""
+CLOSER_STATES = (1.0, 0.5, 0.25)
+"""Times between states that are tried, as shares of the usual one, before a sweep is slowed."""
+
+PathKey = tuple[int, int]
+"""Trace (0 in the usual steps, 1 in finer ones) and piece of the sweep."""
+AlternativeKey = tuple[int, int, tuple[int, ...]]
+"""Trace, piece, and whole turns of the joints."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,16 +95,16 @@ class SweepOption:
 
     Attributes:
         sweep: Number of the sweep.
-        alternative: Rank of branch and winding among those of the sweep, nearest to the start configuration first.
-        path: Number of the joint path, which windings share.
+        alternative: What tells branch and winding from all others of the sweep, however often it is traced.
+        path: What tells the joint path, which windings share, from all others of the sweep.
         motion: The timed joint path, with the travel as last coordinate.
         branch: Inverse kinematics branch.
         direction: 1 forwards, -1 backwards.
     """
 
     sweep: int
-    alternative: int
-    path: int
+    alternative: AlternativeKey
+    path: PathKey
     motion: TimedMotion
     branch: int
     direction: int
@@ -109,35 +124,79 @@ def sweep_options(
     cell: Cell, sweep: PlannedSweep, number: int, settings: SweepSettings, count: int
 ) -> list[SweepOption]:
     """Return up to ``count`` alternatives of a sweep, each forwards and then backwards; none if none can be timed."""
-    for step in (settings.trace_step, settings.trace_step * FINER_TRACE):
-        traced = (
-            trace_sweep(cell, sweep.T_world_scanner, piece.q_start, piece.branch, piece.start, sweep.interval, step)
-            for piece in sweep.pieces
-        )
-        paths = [path for path in traced if path is not None]
+    for trace, step in enumerate((settings.trace_step, settings.trace_step * FINER_TRACE)):
+        paths = {
+            (trace, row): _straightened(cell, sweep, path, _largest_bend(sweep, settings))
+            for row, piece in enumerate(sweep.pieces)
+            if (
+                path := trace_sweep(
+                    cell, sweep.T_world_scanner, piece.q_start, piece.branch, piece.start, sweep.interval, step
+                )
+            )
+        }
         if found := _timed_options(cell, paths, number, settings, count):
             return found
     return []
 
 
 def _timed_options(
-    cell: Cell, paths: list[SweepPath], number: int, settings: SweepSettings, count: int
+    cell: Cell, paths: dict[PathKey, SweepPath], number: int, settings: SweepSettings, count: int
 ) -> list[SweepOption]:
-    chosen = nearest_windings(paths, cell.robot.chain, np.array(cell.start, float), count)
-    motions: dict[int, TimedMotion] = {}
-    for row in sorted({row for row, _ in chosen}):
+    keys = list(paths)
+    chosen = nearest_windings(list(paths.values()), cell.robot.chain, np.array(cell.start, float), count)
+    motions: dict[PathKey, TimedMotion] = {}
+    for key in [keys[row] for row in sorted({row for row, _ in chosen})]:
         try:
-            motions[row] = paths[row].timed(settings.limits, settings.speed, settings.acceleration, settings.sample)
+            motions[key] = _steady_motion(cell, paths[key], settings)
         except SolverError:
             continue  # another branch may have a timing
     options = []
-    for alternative, (row, turns) in enumerate(chosen):
-        if row in motions:
-            base, branch = motions[row], paths[row].branch
+    for key, turns in ((keys[row], turns) for row, turns in chosen):
+        if key in motions:
+            base, branch = motions[key], paths[key].branch
+            alternative = *key, tuple(int(turn) for turn in np.round(turns / TURN))
             wound = TimedMotion(base.time, base.position + np.append(turns, 0.0), base.velocity, base.acceleration)
-            options.append(SweepOption(number, alternative, row, wound, branch, 1))
-            options.append(SweepOption(number, alternative, row, wound.reversed(), branch, -1))
+            options.append(SweepOption(number, alternative, key, wound, branch, 1))
+            options.append(SweepOption(number, alternative, key, wound.reversed(), branch, -1))
     return options
+
+
+def _largest_bend(sweep: PlannedSweep, settings: SweepSettings) -> float:
+    """Return the bend (1/m) of the scanner's line that takes its share of acceleration at the sweep's top speed."""
+    first, last = sweep.interval
+    top_square = min(settings.speed**2, settings.acceleration * (last - first))  # from rest to rest
+    return BEND_SHARE * settings.acceleration / top_square
+
+
+def _straightened(cell: Cell, sweep: PlannedSweep, path: SweepPath, largest_bend: float) -> SweepPath:
+    """Return a path traced in finer steps where its spline bends the scanner's line by more (1/m), if it does."""
+    from scipy.interpolate import CubicSpline
+
+    for _ in range(REFINEMENTS):
+        spline = CubicSpline(path.travel, path.position)
+        middles = steps_that_bend(cell, spline, path.travel, largest_bend)
+        if len(middles) == 0:
+            break
+        travel = np.sort(np.concatenate([path.travel, middles]))
+        position = refined_trace(cell, flange_targets(cell, sweep.T_world_scanner, travel), spline(travel))
+        if position is None:
+            break
+        path = SweepPath(path.branch, travel, position)
+    return path
+
+
+def _steady_motion(cell: Cell, path: SweepPath, settings: SweepSettings) -> TimedMotion:
+    """Time a sweep so that the scanner itself, not only the travel, keeps its acceleration."""
+    tried: list[tuple[float, TimedMotion]] = []
+    for share in CLOSER_STATES:
+        motion = path.timed(settings.limits, settings.speed, settings.acceleration, share * settings.sample)
+        joints = motion.of_first(path.position.shape[1])
+        worst = float(scanner_acceleration(cell, joints).max()) / settings.acceleration
+        if worst <= 1.0 + SHAKE_TOLERANCE:
+            return motion
+        tried.append((worst, motion))
+    worst, motion = min(tried, key=lambda each: each[0])
+    return motion.slowed(worst**0.5)
 
 
 def flange_targets(cell: Cell, T_world_scanner: FloatArray, travel: FloatArray) -> FloatArray:

@@ -10,7 +10,11 @@ from typing import Any
 import pytest
 from PIL import Image
 
-from flows import command_line
+from cellwright.errors import InfeasibleError, InvalidInputError
+from flows import command_line, inspection
+from flows import findings as findings_of_a_run
+from flows.execution import Unwatched
+from storage.lake import Lake
 from tests.faults.bench import MALFORMED, NO_ANSWER, Bench
 from tests.small_inspection import write_cell
 
@@ -131,3 +135,44 @@ def test_a_plan_takes_the_findings_of_an_earlier_run_away(bench: Bench) -> None:
     run(bench, code=0)
     assert {path.name for path in (bench.folder / "out").iterdir()} >= {"report.html", "summary.json"}
     assert not list((bench.folder / "out").glob("findings*"))
+
+
+NOTHING_PASSES = "planner.measurability.max_uncertainty=1e-9 um"
+
+
+def test_what_breaks_while_explaining_is_told_beside_the_error_and_never_instead_of_it(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(*_: object) -> None:
+        raise ValueError("zero-size array")
+
+    monkeypatch.setattr(findings_of_a_run, "_counted", broken)
+    printed, said = run(bench, NOTHING_PASSES, code=NO_ANSWER, words=("--json",))
+    assert said.startswith("error: none of 150 views measures any of 50 samples")
+    assert said.endswith("\nnote: explaining it failed: ValueError: zero-size array\n")
+    told = json.loads(printed)
+    assert told["notes"] == ["explaining it failed: ValueError: zero-size array"]
+    assert (told["exit_code"], told["findings"]["step"]) == (NO_ANSWER, "select_views")
+    (record,) = [each for each in Lake(bench.lake).runs() if each["run_id"] == told["findings"]["run_id"]]
+    assert (record["state"], record["failed_step"]) == ("failed", "select_views")
+
+
+def test_a_full_disk_hides_neither_the_error_nor_what_was_found(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object) -> None:
+        raise InvalidInputError("cannot write findings.html: No space left on device: choose another --out")
+
+    monkeypatch.setattr(findings_of_a_run, "write_files", full)
+    printed, said = run(bench, NOTHING_PASSES, code=NO_ANSWER, words=("--json",))
+    assert said.startswith("error: none of 150 views measures any of 50 samples")
+    assert "\nnote: writing the findings failed: cannot write findings.html: No space left" in said
+    assert json.loads(printed)["findings"]["causes"] == {"uncertainty": 50}
+
+
+def test_a_cell_file_that_is_edited_during_the_run_does_not_change_what_is_said_of_it(bench: Bench) -> None:
+    class Editing(Unwatched):
+        def started(self, name: str) -> None:
+            cell.write_text("cellwright: [half a line")
+
+    cell = write_cell(bench.folder)
+    with pytest.raises(InfeasibleError, match=r"planner\.measurability\.max_uncertainty = 1e-09 um"):
+        inspection.run(cell, overrides=[NOTHING_PASSES], lake=bench.lake, direct=True, watcher=Editing())

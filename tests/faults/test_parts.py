@@ -47,6 +47,18 @@ PLY = b"ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty floa
         ("part.stl", with_value(b"\x00\x00\x80\x7f"), r"1 of 84 vertices that are not finite.*: export"),
         ("part.stl", ascii_stl(((0, 0, 0), (9, 0, 0), (20, 0, 0))), r"no face has an area"),
         ("part.stl", ascii_stl(((5, 5, 5), (5, 5, 5), (5, 5, 5))), r"0 mm long as read in mm"),
+        (
+            "part.stl",
+            ascii_stl(((0, 0, 0), (9, 0, 0), (0, 9, 0)))[:-14],
+            r"cut off: it does not end in `endsolid`: export",
+        ),
+        ("part.obj", b"v 0 0\nv 9 0\nv 0 9\nf 1 2 3\n", r"part\.obj is malformed"),
+        ("part.obj", b"v 0 0 0\nv 9 0 0\nv 0 9 0\nf 0 1 2\n", r"part\.obj, line 4: a face names vertex 0"),
+        (
+            "part.step",
+            b'ISO-10303-21;\n"rubbish\nEND-ISO-10303-21;\n',
+            r"part\.step is a malformed STEP file.*: export",
+        ),
         ("part.ply", b"rubbish", r"part\.ply is malformed"),
         ("part.ply", PLY + b"end_header\n0 0 0\n9 0 0\n0 9 0\n", r"no triangles \(a point cloud"),
         (

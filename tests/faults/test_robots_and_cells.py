@@ -7,7 +7,6 @@ from pathlib import Path
 
 import pytest
 
-from cellwright.cell.scene import Scene
 from flows.requests import request_of
 from schemas.cell_objects import build_cell
 from tasks.assemble_cell import assemble_cell
@@ -38,6 +37,16 @@ def arm(n_joints: int, kind: str = "revolute", limit: str = 'lower="-3" upper="3
         (arm(6, limit=""), "joint 'j0' has no velocity limit in the URDF: add"),
         (arm(6, limit='lower="nan" upper="3" velocity="2" effort="1"'), "lower='nan'"),
         (arm(6, limit='lower="3" upper="-3" velocity="2" effort="1"'), "lower must be less than upper"),
+        (arm(6).replace("0.25", "250"), "arm.urdf: the arm reaches 1500 m"),
+        (arm(6).replace("0.25", "1e300"), "arm.urdf: the arm reaches 6e+300 m"),
+        (arm(6).replace("0 0.05 0.25", "0 0 0"), "arm.urdf: the arm reaches 0 mm"),
+        (arm(6, limit='lower="-3" upper="3" velocity="0" effort="1"'), "arm.urdf: joint 'j0' has velocity limit 0"),
+        (
+            arm(6).replace(
+                '<link name="l1"/>', '<link name="l1"><collision><geometry><cone/></geometry></collision></link>'
+            ),
+            "arm.urdf: collision geometry of link 'l1' is a <cone>",
+        ),
         (arm(6)[:300], "is not valid XML"),
         ("rubbish", "is not valid XML"),
         ("<html/>", "outermost element is <html>, not <robot>"),
@@ -58,6 +67,18 @@ def test_a_malformed_robot_is_refused(urdf: str, says: str, bench: Bench) -> Non
         MALFORMED, "robot.model=arm.urdf", f"robot.start=[{angles}]", "robot.max_acceleration=100 deg/s^2"
     )
     assert says in said
+
+
+def test_a_robot_that_is_singular_everywhere_is_refused(bench: Bench) -> None:
+    end = '<child link="l6"/><origin xyz="0 0.05 0.25"/><axis xyz="0 1 0"/>'
+    assert end in arm(6)
+    (bench.folder / "arm.urdf").write_text(
+        arm(6).replace(end, end.replace("0 0.05 0.25", "0 0 0.25").replace("1 0", "0 1"))
+    )
+    angles = ", ".join(["10 deg"] * 6)
+    settings = ["robot.model=arm.urdf", f"robot.start=[{angles}]", "robot.max_acceleration=100 deg/s^2"]
+    said = bench.refused_setting(MALFORMED, *settings)
+    assert "singular in every configuration: axes 5 and 6 are collinear" in said
 
 
 @pytest.mark.parametrize(
@@ -101,5 +122,6 @@ def _scanner_housing_at_start(folder: Path) -> list[float]:
     params = request_of(write_cell(folder)).cell
     cell = build_cell(assemble_cell((), params=params))
     row = [body.name for body in cell.bodies].index("scanner body")
-    position: list[float] = Scene(cell).body_poses(cell.start)[row, :3, 3].tolist()
+    body, links = cell.bodies[row], cell.robot.link_poses(cell.start)
+    position: list[float] = (cell.T_world_base @ links[body.parent] @ body.T_parent_body)[:3, 3].tolist()
     return position

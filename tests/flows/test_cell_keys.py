@@ -10,7 +10,7 @@ import pytest
 
 import tasks
 from cellwright.errors import InfeasibleError, SolverError
-from flows.cell_keys import KEYS, METHODS, _values, with_keys
+from flows.cell_keys import _KEY, KEYS, METHODS, _values, with_keys
 from flows.examples import find_cell_file
 from schemas.cell_file import CellFile, load_cell_file
 from tests.flows.conftest import PROJECT
@@ -18,11 +18,8 @@ from tests.flows.conftest import PROJECT
 NOT_SETTABLE = {
     "base_link",
     "flange_link",
-    "max_work",
     "max_exact_checks",
-    "max_connections",
     "weld_tolerance_m",
-    "T_world_part",
     "up_part",
 }
 """Fields that the cell file leaves at their defaults, that flows fill in, or whose names are also those of links."""
@@ -83,7 +80,41 @@ def test_every_field_that_an_error_names_has_a_key() -> None:
                 named |= dict.fromkeys(re.findall(r"(?<![\w.])\w+_\w+(?![\w.(])", text), f"{path}: {text}")
     without = {name: where for name, where in named.items() if name in fields - KEYS.keys() - NOT_SETTABLE}
     assert not without
-    assert {"clearance_m", "max_uncertainty_m", "start_rad"} <= named.keys(), "the search finds nothing any more"
+    assert {"clearance_m", "min_coverage", "start_rad"} <= named.keys(), "the search finds nothing any more"
+
+
+def test_no_stage_names_a_key_of_the_cell_file(cell: CellFile) -> None:
+    def keys_in(texts: list[str]) -> set[str]:
+        return {key for text in texts for key in _KEY.findall(text) if any(_values(cell, key))}
+
+    named = {
+        path.name: keys
+        for folder in ("tasks", "cellwright")
+        for path in sorted((PROJECT / folder).rglob("*.py"))
+        if (keys := keys_in(_texts(path)))
+    }
+    assert not named, "use the parameters' names: the flow writes the keys"
+    seen = {"planner.sampling.density", "robot.start"}
+    assert keys_in(["lower planner.sampling.density or", "choose another robot.start, or"]) == seen
+
+
+def test_what_was_noted_on_an_error_stays_with_it(cell: CellFile) -> None:
+    error = InfeasibleError("lower clearance_m")
+    error.add_note("explaining it failed: no space left")
+    told = with_keys(error, cell)
+    assert told is not error
+    assert told.__notes__ == ["explaining it failed: no space left"]
+
+
+def _texts(path: Path) -> list[str]:
+    """Return all texts of a module but its docstrings."""
+    tree = ast.parse(path.read_text())
+    alone = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
+    return [
+        node.value
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in alone
+    ]
 
 
 def _raised(path: Path) -> list[str]:

@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from flows.inspection import close_gaps
 from flows.requests import InspectionRequest, request_of
+from flows.selection_rounds import Candidates, Choice, close_gaps
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "grooved_cylinder.yaml"
 
@@ -45,9 +45,10 @@ def closed(rounds: int, *n_gaps: int) -> tuple[str, list[str]]:
     """Return the selection that is kept, and what ran."""
     chain: Any = Chain(*n_gaps)
     request: InspectionRequest = request_of(EXAMPLE, [f"planner.refinement.rounds={rounds}"])
-    inputs: Any = [Made(name) for name in ("mesh", "surroundings", "viewpoints", "reachability", "measurable")]
-    selection: Any = Made("first selection")
-    kept, made_of = (step.ref() for step in close_gaps(chain, request, chain, *inputs, selection))
+    made: Any = {name: Made(name) for name in ("cell", "mesh", "surroundings", "viewpoints", "reachability")}
+    first: Any = Made("first selection"), Made("measurable")
+    choice: Any = close_gaps(chain, request, chain, Candidates(**made), Choice(*first))
+    kept, made_of = choice.selection.ref(), choice.measurable.ref()
     assert made_of.name == kept.name.replace("select_views", "extend_measurability").replace(
         "first selection", "measurable"
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shlex
 import subprocess
 import sys
 import textwrap
@@ -184,3 +185,56 @@ def test_a_flow_gets_what_was_asked_for(
     assert asked["direct"] is False
     assert command_line.main(["sweep", "study.yaml", "--refresh", "skale"]) == 2
     assert "did you mean 'scale'" in capsys.readouterr().err
+
+
+def shell(tail: str, *command: str, **environment: str) -> subprocess.CompletedProcess[str]:
+    """Run the command line with its streams redirected by a shell, and print its exit code last on standard error."""
+    words = shlex.join([sys.executable, "-m", "flows.command_line", *command])
+    return subprocess.run(
+        ["/bin/bash", "-c", tail.replace("CELLWRIGHT", words)],
+        env={**os.environ, "PYTHONPATH": str(PROJECT), **environment},
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+
+
+MISSING = ("lake", "ls", "--json", "--lake", "/nowhere/at/all")
+
+
+@pytest.mark.parametrize(
+    ("tail", "command", "code"),
+    [
+        ("CELLWRIGHT >/dev/full", ("examples",), 1),
+        ("CELLWRIGHT >/dev/full", MISSING, 2),
+        ("CELLWRIGHT >&-", ("examples",), 0),
+        ("CELLWRIGHT >&-", MISSING, 2),
+        ("CELLWRIGHT 2>&-", MISSING, 2),
+        ("CELLWRIGHT 2>/dev/full", MISSING, 2),
+        ("CELLWRIGHT | true; exit ${PIPESTATUS[0]}", MISSING, 2),
+        ("CELLWRIGHT | true; exit ${PIPESTATUS[0]}", ("examples",), 141),
+        ("CELLWRIGHT | true; exit ${PIPESTATUS[0]}", ("validate", "grooved_cylinder"), 141),
+        ("CELLWRIGHT >/dev/full", ("validate", "grooved_cylinder"), 1),
+        ("CELLWRIGHT >&-", ("validate", "grooved_cylinder"), 0),
+    ],
+)
+def test_streams_that_take_nothing_end_in_a_code_without_a_traceback(
+    tail: str, command: tuple[str, ...], code: int
+) -> None:
+    done = shell(tail, *command)
+    assert done.returncode == code, done.stderr
+    assert "Traceback" not in done.stderr
+    assert "Exception ignored" not in done.stderr
+
+
+@pytest.mark.parametrize(
+    "environment",
+    [{"PYTHONIOENCODING": "ascii"}, {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}],
+)
+def test_letters_that_a_stream_lacks_are_replaced_and_json_keeps_them(environment: dict[str, str]) -> None:
+    code = r"from flows.output import *; prepare_streams(); print('60 \u00b5m'); write_json(['\u00b5m'])"
+    done = python(code, **environment)
+    assert done.returncode == 0, done.stderr
+    said, _, document = done.stdout.partition("\n")
+    assert said == "60 ?m"
+    assert json.loads(document) == ["\u00b5m"]

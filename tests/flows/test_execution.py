@@ -6,6 +6,7 @@ import threading
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from cellwright.errors import InfeasibleError, InvalidInputError, LakeError
@@ -212,3 +213,14 @@ def test_how_long_a_stage_took_and_where_stands_beside_it_not_in_it(lake_url: st
     assert made is not None
     assert made["seconds"] >= 0
     assert made["host"]
+
+
+def test_the_versions_that_made_a_result_stand_beside_it(lake_url: str) -> None:
+    made = Lake(lake_url).provenance(chain(lake_url).records()[0].ref)
+    assert made is not None
+    assert made["versions"].keys() == {
+        "python", "cellwright", "numpy", "scipy", "numba", "pinocchio", "coal", "python-fcl", "highspy", "open3d",
+        "casadi",
+    }  # fmt: skip
+    assert made["versions"]["numpy"] == np.__version__
+    assert "unknown" not in made["versions"].values()

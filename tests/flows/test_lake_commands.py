@@ -43,8 +43,6 @@ class TestLakeCommands:
         assert "add_up v1" in self.text_of(capsys, "ls")
 
     def test_an_empty_lake_says_so(self, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-        said = self.text_of(capsys, "ls", "--lake", str(tmp_path / "none"))
-        assert f"{tmp_path / 'none'} is empty, it does not even exist yet: fill it with `cellwright inspect" in said
         assert "is empty: fill it with `cellwright inspect" in self.text_of(capsys, "ls", "--lake", str(tmp_path))
         assert self.json_of(capsys, "ls", "--lake", str(tmp_path)) == []
 
@@ -52,10 +50,63 @@ class TestLakeCommands:
     def test_what_is_asked_of_an_empty_lake_names_what_to_do(
         self, tmp_path: Path, capsys: pytest.CaptureFixture[str], action: str
     ) -> None:
-        assert command_line.main(["lake", action, "coverage", "--lake", str(tmp_path / "none")]) == 2
+        assert command_line.main(["lake", action, "coverage", "--lake", str(tmp_path)]) == 2
         said = capsys.readouterr().err
         assert "no artefact 'coverage'" in said
-        assert "does not even exist yet: fill it with `cellwright inspect CELL.yaml`, or name another" in said
+        assert "is empty: fill it with `cellwright inspect CELL.yaml`, or name another" in said
+
+    @pytest.mark.parametrize("command", [["ls"], ["runs"], ["verify"], ["gc"], ["sql", "FROM runs"], ["show", "scan"]])
+    def test_a_lake_that_is_not_there_is_refused(
+        self, tmp_path: Path, capsys: pytest.CaptureFixture[str], command: list[str]
+    ) -> None:
+        assert command_line.main(["lake", *command, "--lake", str(tmp_path / "typo")]) == 2
+        said = capsys.readouterr().err
+        assert f"there is no lake at {tmp_path / 'typo'}: fill it with `cellwright inspect CELL.yaml`, or name" in said
+        assert not (tmp_path / "typo").exists()
+
+    def test_an_empty_address_is_no_lake(self, lake: Lake, capsys: pytest.CaptureFixture[str]) -> None:
+        assert command_line.main(["lake", "ls", "--lake", ""]) == 2
+        assert "is not an address for a lake" in capsys.readouterr().err
+
+    def test_repair_sets_a_flipped_bit_aside_and_the_next_run_makes_it_anew(
+        self, lake: Lake, lake_url: str, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        path = Path(next(iter(self.json_of(capsys, "show", "test-total")["files"].values())))
+        whole = path.read_bytes()
+        path.write_bytes(whole[:40] + bytes([whole[40] ^ 1]) + whole[41:])
+        assert "`cellwright lake verify --repair` sets it aside" in self.text_of(capsys, "verify", code=5)
+        assert "1 problems, 1 set aside: run again" in self.text_of(capsys, "verify", "--repair")
+        assert self.json_of(capsys, "verify") == {"artefacts": 2, "problems": []}
+        with Steps(lake_url, direct=True) as step:
+            numbers = step(small.count_up, {"n": 4})
+            step(small.add_up, {}, parts=(numbers, step(small.scale, {}, numbers=numbers)))
+        assert self.json_of(capsys, "verify") == {"artefacts": 3, "problems": []}
+        assert path.read_bytes() == whole
+
+    @pytest.mark.parametrize("content", [b'{"run_id": 5, "steps": 5}', b"[]", b"{", b"\xff"])
+    def test_what_is_no_record_of_a_run_is_named_and_left_out(
+        self, lake: Lake, lake_url: str, capsys: pytest.CaptureFixture[str], content: bytes
+    ) -> None:
+        lake.record_run("whole", {"steps": []})
+        broken = Path(lake_url) / "runs" / "broken.json"
+        broken.write_bytes(content)
+        assert command_line.main(["lake", "runs"]) == 0
+        told = capsys.readouterr()
+        assert "whole" in told.out
+        assert f"warning: {broken}: is no record of a run" in told.err
+        assert "whole" in [row["run_id"] for row in self.json_of(capsys, "sql", "FROM runs")]
+        assert str(broken) in self.text_of(capsys, "verify", code=5)
+        self.text_of(capsys, "verify", "--repair")
+        assert not broken.exists()
+
+    def test_provenance_of_wrong_types_is_left_out_and_named(
+        self, lake: Lake, lake_url: str, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        record = next((Path(lake_url) / "provenance").rglob("*.json"))
+        record.write_text('{"seconds": "long", "published_at": 7, "run": []}')
+        assert len(self.json_of(capsys, "ls")) == 3
+        assert "add_up v1" in self.text_of(capsys, "ls")
+        assert "holds published_at, run, seconds of a wrong type" in self.text_of(capsys, "verify", code=5)
 
     def test_show_names_columns_origin_and_files(self, lake: Lake, capsys: pytest.CaptureFixture[str]) -> None:
         shown = self.json_of(capsys, "show", "test-total")
@@ -114,6 +165,8 @@ class TestLakeCommands:
         assert self.json_of(capsys, "show", "test-total")["findings"] == []
         left_out = {"left_out_view": np.array([7], np.int32), "left_out_reason": ("no way leads there",)}
         assert _findings(plan.changed(plan.trajectory(), **left_out)) == ["view 7 is left out: no way leads there"]
+        replaced = {"replaced_view": np.array([7], np.int32), "replaced_reason": ("no way",)}
+        assert _findings(plan.changed(plan.trajectory(), **replaced)) == ["view 7 is replaced by others: no way"]
 
     def test_show_of_something_unknown_ends_with_2(self, lake: Lake, capsys: pytest.CaptureFixture[str]) -> None:
         assert command_line.main(["lake", "show", "test-totl"]) == 2

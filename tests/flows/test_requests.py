@@ -120,6 +120,13 @@ def test_every_section_of_the_cell_reaches_a_stage(plain: InspectionRequest, ove
     assert as_json(request_of(CELL, [override])) != as_json(plain)
 
 
+def test_a_time_limit_for_a_method_without_a_clock_is_refused() -> None:
+    assert request_of(CELL, ["planner.selection.method=exact", "planner.selection.time_limit=9 s"]).cover.time_limit_s
+    for method in ("best", "greedy"):
+        with pytest.raises(InvalidInputError, match=rf"time_limit is 9 s but method {method} reads no clock: remove"):
+            request_of(CELL, [f"planner.selection.method={method}", "planner.selection.time_limit=9 s"])
+
+
 def test_the_clouds_never_share_their_random_numbers() -> None:
     seeds: set[int] = set()
     for seed in range(5):

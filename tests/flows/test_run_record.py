@@ -16,8 +16,10 @@ import pytest
 
 from cellwright.errors import InfeasibleError
 from flows import command_line
-from flows.run_record import state_of
+from flows.execution import Outcome
+from flows.run_record import RunRecord, state_of
 from flows.runner import Steps
+from schemas.references import Ref
 from storage.lake import Lake
 from storage.upkeep import DAY_S, sweep
 from tests.flows import small_stages as small
@@ -67,6 +69,30 @@ def test_a_bug_is_on_the_record_as_a_failure_and_ctrl_c_as_an_interruption(lake_
     records = {record["run_id"]: record for record in Lake(lake_url).runs()}
     assert (records["bug"]["state"], records["bug"]["error"]) == ("failed", "ZeroDivisionError: a bug")
     assert (records["stopped"]["state"], "error" in records["stopped"]) == ("interrupted", False)
+
+
+def test_a_step_that_ends_after_the_run_failed_joins_it_and_leaves_it_failed(lake_url: str) -> None:
+    lake = Lake(lake_url)
+    for run_id, error in (("failed", InfeasibleError("no way")), ("interrupted", KeyboardInterrupt())):
+        record = RunRecord(lake, run_id, {})
+        record.begin()
+        record.fail(error, "refuse")
+        record.add("wait", small.wait, Outcome(Ref("test-numbers", "0" * 64, "1" * 64), cached=False, seconds=1.0))
+        (written,) = [each for each in lake.runs() if each["run_id"] == run_id]
+        assert (written["state"], [step["name"] for step in written["steps"]]) == (run_id, ["wait"])
+        if run_id == "failed":
+            assert (written["error"], written["failed_step"]) == ("no way", "refuse")
+
+
+def test_the_failed_step_is_the_one_whose_error_surfaced_and_none_that_recovered(lake_url: str) -> None:
+    with pytest.raises(InfeasibleError), Steps(lake_url, direct=True, run_id="run-1") as step:
+        numbers = step(small.count_up, {})
+        step(small.refuse, {}, numbers=step(small.lose, {}, numbers=numbers))  # `lose` fails twice before
+    with pytest.raises(ZeroDivisionError), Steps(lake_url, direct=True, run_id="run-2") as step:
+        step(small.lose, {}, numbers=step(small.count_up, {}))
+        raise ZeroDivisionError("of no step")
+    records = {record["run_id"]: record for record in Lake(lake_url).runs()}
+    assert (records["run-1"]["failed_step"], records["run-2"]["failed_step"]) == ("refuse", "")
 
 
 def test_a_run_without_a_name_leaves_no_record(lake_url: str) -> None:

@@ -118,6 +118,52 @@ def test_a_failure_nobody_asks_for_still_fails_the_run(lake_url: str) -> None:
         as_flow(run)
 
 
+def test_a_run_that_failed_stays_failed_when_a_slower_step_ends_after_it(lake_url: str) -> None:
+    from flows.runner import Steps
+
+    slow_began = threading.Event()
+
+    class Waiting:
+        def started(self, name: str) -> None:
+            if name == "wait":
+                slow_began.set()
+            else:
+                assert name != "refuse" or slow_began.wait(20)
+
+        def advanced(self, name: str, share: float) -> None: ...
+
+        def finished(self, name: str, *, cached: bool, seconds: float) -> None: ...
+
+        def failed(self, name: str) -> None: ...
+
+    def run() -> None:
+        with Steps(lake_url, run_id="slow", watcher=Waiting()) as step:
+            numbers = step(small.count_up, {})
+            step(small.wait, {"seconds": 1.0}, numbers=numbers)
+            step(small.refuse, {}, numbers=numbers).ref()
+
+    with pytest.raises(InfeasibleError):
+        as_flow(run)
+    (record,) = Lake(lake_url).runs()
+    assert (record["state"], record["failed_step"]) == ("failed", "refuse")
+    assert record["error"] == "the sum is 3 but must be 4: add 1"
+    assert [step["name"] for step in record["steps"]] == ["count_up", "wait"], "the slow one ended after the failure"
+
+
+def test_a_step_that_is_tried_again_is_not_the_one_that_failed(lake_url: str) -> None:
+    from flows.runner import Steps
+
+    def run() -> None:
+        with Steps(lake_url, run_id="retried") as step:
+            numbers = step(small.count_up, {})
+            step(small.refuse, {}, numbers=step(small.lose, {}, numbers=numbers))
+
+    with pytest.raises(InfeasibleError):
+        as_flow(run)
+    (record,) = Lake(lake_url).runs()
+    assert record["failed_step"] == "refuse"
+
+
 def test_a_bug_keeps_its_own_type_and_place(lake_url: str) -> None:
     from flows.runner import Steps
 

@@ -93,6 +93,10 @@ def test_a_value_means_in_a_setting_what_it_means_in_the_file(tmp_path: Path, va
         ({"published": [{"seed": 0, "sweep": 3}]}, "sweep is neither an axis nor a column: did you mean sweeps"),
         ({"published": [{"seed": 0, "sweeps": "many"}]}, "sweeps: 'many' is no number"),
         ({"name": ""}, "name"),
+        (
+            {"axes": {axis: {str(n): {} for n in range(300)} for axis in "abc"}, "figures": [], "published": []},
+            "axes make 27000000 runs, but a study has at most 10000: remove points",
+        ),
     ],
 )
 def test_a_mistake_is_named_with_its_place_and_mend(tmp_path: Path, changes: dict[str, Any], message: str) -> None:
@@ -106,9 +110,10 @@ def test_a_mistake_is_named_with_its_place_and_mend(tmp_path: Path, changes: dic
 def test_a_file_that_is_no_study_is_refused(tmp_path: Path, text: str) -> None:
     path = tmp_path / "study.yaml"
     path.write_text(text)
-    with pytest.raises(InvalidInputError, match=r"study\.yaml"):
+    with pytest.raises(InvalidInputError, match=r"study\.yaml") as caught:
         load_study_file(path)
-    with pytest.raises(InvalidInputError, match="nowhere"):
+    assert "cell file" not in str(caught.value)
+    with pytest.raises(InvalidInputError, match=r"study file .*nowhere"):
         load_study_file(tmp_path / "nowhere.yaml")
 
 

@@ -155,7 +155,7 @@ class TestLakeContract:
         assert same(lake.load(ref), tally(5))
 
     def test_an_artefact_in_an_empty_lake_names_what_to_do(self, lake: Lake) -> None:
-        with pytest.raises(InvalidInputError, match=r"does not even exist yet: fill it with .*--lake"):
+        with pytest.raises(InvalidInputError, match=r"there is no lake at .*: fill it with .*--lake"):
             lake.resolve("coverage")
         lake.record_run("one", {})
         with pytest.raises(InvalidInputError, match="is empty: fill it with"):

@@ -106,5 +106,5 @@ def test_a_prefix_of_several_artefacts_lists_them(lake: Lake, monkeypatch: pytes
 
 
 def test_an_empty_lake_says_so(lake: Lake) -> None:
-    with pytest.raises(InvalidInputError, match="is empty"):
+    with pytest.raises(InvalidInputError, match="there is no lake at"):
         lake.resolve("viewpoints")

@@ -29,7 +29,7 @@ def filled(lake: Lake) -> Lake:
 
     def add(stage: str, artefact: Artefact, inputs: dict[str, str], **params: float) -> Ref:
         about = Recipe(stage, 1, params, inputs)
-        provenance = {"run": "one", "seconds": 0.5}
+        provenance = {"run": "one", "seconds": 0.5, "versions": {"coal": "3.0.0"}}
         return lake.publish(about.key, artefact, about, provenance)
 
     part = add("read_source", SourceFile(name="part.stl", content=b"solid"), {})
@@ -121,7 +121,7 @@ def test_fields_tell_the_unit(filled: Lake) -> None:
 def test_a_wrong_statement_is_told_with_the_tables_there_are(filled: Lake, sql: str, fact: str) -> None:
     with pytest.raises(InvalidInputError, match=fact) as caught:
         filled.query(sql)
-    assert "manifests, inputs, runs, fields, measurability_entries" in str(caught.value)
+    assert "manifests, inputs, runs, fields, causes, measurability_entries" in str(caught.value)
 
 
 @pytest.mark.parametrize(

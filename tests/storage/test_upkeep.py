@@ -1,8 +1,10 @@
 from __future__ import annotations
 
 import os
+import shutil
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -266,3 +268,70 @@ def test_finding_an_artefact_keeps_it_young_where_files_have_times(lake: Lake) -
     assert path in lake.gc().removed
     assert lake.find(ref.key) == ref
     assert path not in lake.gc().removed
+
+
+class TestThingsInTheWay:
+    """Files where a lake has folders, and folders where it has files: on disks only, stores have no folders."""
+
+    @pytest.fixture
+    def root(self, tmp_path: Path) -> Path:
+        return tmp_path / "lake"
+
+    @pytest.mark.parametrize(
+        "where", ["data", "data/test-tally", "data/test-tally/{digest}", "manifests", "provenance"]
+    )
+    def test_a_file_in_the_place_of_a_folder_is_named_and_the_next_run_mends_it(self, root: Path, where: str) -> None:
+        lake = Lake(str(root))
+        ref = _publish(lake, 1, 2)
+        path = root / where.format(digest=ref.digest)
+        shutil.rmtree(path)
+        path.write_bytes(b"in the way")
+        assert (str(path), "is a file where a folder belongs") in _told(lake)
+        if where != "provenance":
+            assert lake.find(ref.key) is None
+        assert same(lake.load(_publish(lake, 1, 2)), tally(1, 2))
+        assert lake.verify() == []
+        assert [file.read_bytes() for file in (root / "damaged").iterdir()] == [b"in the way"]
+
+    def test_folders_in_the_place_of_files_are_named_and_the_next_run_mends_them(self, root: Path) -> None:
+        lake = Lake(str(root))
+        ref = _publish(lake, 1, 2)
+        paths = [
+            root / f"manifests/{ref.key[:2]}/{ref.key}.json",
+            root / f"data/test-tally/{ref.digest}/counts.parquet",
+        ]
+        for path in paths:
+            path.unlink()
+            (path / "inside").mkdir(parents=True)
+        assert {(str(path), "is a folder where a file belongs") for path in paths} <= _told(lake)
+        assert lake.find(ref.key) is None
+        assert same(lake.load(_publish(lake, 1, 2)), tally(1, 2))
+        assert lake.verify() == []
+
+    @pytest.mark.parametrize("name", ["manifests", "runs", ".scratch", ".locks", "damaged"])
+    def test_repair_sets_aside_what_is_in_the_way(self, root: Path, name: str) -> None:
+        lake = Lake(str(root))
+        _publish(lake, 1, 2)
+        shutil.rmtree(root / name, ignore_errors=True)
+        (root / name).write_bytes(b"in the way")
+        assert lake.repair(lake.verify()) == []
+        assert lake.verify() == []
+        ref = _publish(lake, 1, 2)
+        assert lake.find(ref.key) == ref
+
+
+def _told(lake: Lake) -> set[tuple[str, str]]:
+    return {(problem.address, problem.fact.split(":")[0]) for problem in lake.verify()}
+
+
+def test_repair_sets_aside_every_manifest_of_a_damaged_content(lake: Lake) -> None:
+    first, second, whole = _publish(lake, 1, 2, number=1), _publish(lake, 1, 2, number=2), _publish(lake, 3)
+    folder = f"data/test-tally/{first.digest}"
+    content = lake.place.read(f"{folder}/counts.parquet") or b""
+    lake.place.put(folder, {"counts.parquet": b"X" + content[1:]})
+    problems = lake.verify()
+    assert len(problems) == 2
+    assert lake.repair(problems) == []
+    assert [lake.find(ref.key) for ref in (first, second, whole)] == [None, None, whole]
+    assert lake.verify() == []
+    assert same(lake.load(_publish(lake, 1, 2, number=1)), tally(1, 2))

@@ -14,7 +14,7 @@ from schemas.motion import ScanCloud, Trajectory, Verification
 from schemas.overlaps import StandingOverlaps
 from schemas.part import SurfaceSamples
 from schemas.sources import CellModel
-from schemas.views import Coverage, Reachability, Viewpoints, ViewSelection
+from schemas.views import Coverage, Measurability, Reachability, Viewpoints, ViewSelection
 from tests.tasks.plate_scene import points_on_top, scanned, selected, views_down
 from tests.tasks.test_simulate_scan import cell_model, swing
 
@@ -82,6 +82,18 @@ def viewpoints() -> Viewpoints:
 
 def selection() -> ViewSelection:
     return changed(selected(1, 4, n_samples=6), max_uncertainty_m=np.array([5e-5, np.nan]))
+
+
+def measurability() -> Measurability:
+    """View 1 measures the even samples, view 4 the odd ones, both the first."""
+    return Measurability(
+        view=np.array([1, 1, 1, 4, 4, 4, 4], np.int32),
+        sample=np.array([0, 2, 4, 0, 1, 3, 5], np.int32),
+        uncertainty_m=np.full(7, 5e-5, np.float32),
+        start_m=np.zeros(6),
+        end_m=np.zeros(6),
+        cause=np.zeros(6, np.int8),
+    )
 
 
 def scan() -> ScanCloud:

@@ -13,7 +13,7 @@ from cellwright.cell.parametric_parts import plate_with_pocket
 from cellwright.cell.surface_sampling import sample_randomly
 from cellwright.cell.transforms import pose
 from cellwright.errors import InfeasibleError, InvalidInputError
-from cellwright.solvers.sphere_metrics import inside_union
+from cellwright.solvers.sphere_metrics import union_gaps
 from schemas.artefact import digest
 from schemas.sources import CellModel
 from schemas.sphere_hull import SphereHull
@@ -55,7 +55,7 @@ def test_every_body_and_the_part_get_spheres_that_are_proven_to_hold_them() -> N
     assert set(found.volume_kind) == {"enclosed"}
     rows = slice(20, 25)
     points = sample_randomly(PART.vertices_m[PART.faces], 5000, np.random.default_rng(0)).points
-    assert inside_union(points, found.centre_m[rows].copy(), found.radius_m[rows].copy()).all()
+    assert union_gaps(points, found.centre_m[rows].copy(), found.radius_m[rows].copy()).max() <= 0.0
     assert (found.coverage == 1.0).all()
     assert found.trial_chosen.all()
     assert found.overshoot_max_m.tolist() == [found.overshoot_m[5 * k : 5 * k + 5].max() for k in range(5)]
@@ -143,3 +143,32 @@ def test_the_result_is_the_one_of_this_version() -> None:
     found = fit_spheres(cell(), PART, params=SphereParams(n_spheres=3, n_starts=1, method="k-means"))
     ours = fit_spheres(None, PART, params=SphereParams(n_spheres=3, n_starts=1))
     check_golden(fit_spheres, told(found) + told(ours))
+
+
+@pytest.mark.parametrize(
+    ("base", "setting", "read"),
+    [
+        ({}, {"inflate": False}, False),
+        ({}, {"n_starts": 2}, True),
+        ({}, {"n_spheres": 7}, True),
+        ({"method": "k-means"}, {"inflate": False}, True),
+        ({"method": "k-means"}, {"n_starts": 2}, False),
+        ({"tolerance_m": 0.01}, {"n_spheres": 7}, False),
+        ({"tolerance_m": 0.01}, {"n_spheres_of": {"post": 7}}, True),
+    ],
+)
+def test_settings_count_where_they_are_read_alone(
+    base: dict[str, object], setting: dict[str, object], read: bool
+) -> None:
+    other = SphereParams.model_validate({**base, **setting}).canonical()
+    assert (other != SphereParams.model_validate(base).canonical()) == read
+
+
+def test_progress_rises_with_every_body_and_changes_nothing() -> None:
+    shares: list[float] = []
+    params = SphereParams.model_validate(QUICK)
+    told: SphereHull = fit_spheres(cell(), PART, params=params, progress=shares.append)
+    assert digest(told) == digest(fitted())
+    assert len(shares) >= 2 + len(BODIES) + 1
+    assert shares == sorted(shares)
+    assert (shares[0], shares[-1]) == (0.0, 1.0)

@@ -2,12 +2,14 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 
 from cellwright.causes import Cause
 from cellwright.cell.bodies import WORLD, Body, Box
+from cellwright.cell.parallel_axes import parallel_axes_geometry
 from cellwright.cell.scene import Scene
 from cellwright.cell.transforms import inverse, pose, quaternion_from_rotation
 from cellwright.errors import InvalidInputError
@@ -123,6 +125,25 @@ def test_artefacts_that_do_not_belong_together_are_refused():
         follow_sweeps(cell_model(), part_mesh(), viewpoints(), few, params=PARAMS)
 
 
+def calibrated(urdf: str) -> str:
+    """The arm with axes that are off by what calibration finds: no family knows it, so that it is eliminated."""
+    tree = ElementTree.fromstring(urdf)
+    for number, joint in enumerate(tree.iter("joint")):
+        origin = joint.find("origin")
+        if origin is not None and joint.get("type") == "revolute":
+            turn = np.array(origin.get("rpy", "0 0 0").split(), float) + 1e-3 * np.array([1, -1, 1]) * (-1) ** number
+            origin.set("rpy", " ".join(repr(angle) for angle in turn.tolist()))
+    return ElementTree.tostring(tree, encoding="unicode")
+
+
+@cache
+def reached_by_a_calibrated_arm() -> Reachability:
+    model = replace(cell_model(), urdf=calibrated(cell_model().urdf))
+    assert parallel_axes_geometry(build_cell(model).robot.chain) is None
+    return follow_sweeps(model, part_mesh(), viewpoints(), measured(idle=len(ANGLES) - 4), params=PARAMS)
+
+
 def test_the_result_is_the_one_of_this_version():
     assert (np.unique(reached().outcome) == [Cause.NONE, Cause.COLLISION]).all()
-    check_golden(follow_sweeps, rounded(reached(), 6))
+    assert len(reached_by_a_calibrated_arm().view) > 1
+    check_golden(follow_sweeps, rounded(reached(), 6), rounded(reached_by_a_calibrated_arm(), 4))

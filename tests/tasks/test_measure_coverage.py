@@ -91,9 +91,23 @@ def test_what_only_a_left_out_view_measures_is_not_connected() -> None:
     plan = changed(trajectory(), left_out_view=np.array([1], np.int32), left_out_reason=("it is walled in",))
     inputs = plate(), nothing_around(), CLOUD, points, VIEWS, REACHED, selected(0, 1)
     found = measure_coverage(*inputs, plan, params=CoverageParams())
-    assert found.cause[2] == Cause.NOT_CONNECTED and not found.coverable[2]
+    assert found.cause[2] == Cause.NOT_CONNECTED
+    replaced = changed(trajectory(), replaced_view=plan.left_out_view, replaced_reason=plan.left_out_reason)
+    again = measure_coverage(*inputs[:-1], selected(0), replaced, params=CoverageParams())
+    assert again.cause[2] == Cause.NOT_CONNECTED
     executed = measure_coverage(*inputs, trajectory(), params=CoverageParams())
     assert executed.cause[2] == Cause.NOT_SCANNED and executed.coverable[2]
+
+
+def test_what_cannot_be_connected_counts_as_coverable_so_that_a_partial_plan_looks_no_better() -> None:
+    points = scanned(np.array([[0.0005, 0.001, 0.0]]))
+    plan = changed(trajectory(), left_out_view=np.array([1], np.int32), left_out_reason=("it is walled in",))
+    inputs = plate(), nothing_around(), CLOUD, points, VIEWS, REACHED, selected(0, 1)
+    whole = measure_coverage(*inputs, params=CoverageParams())
+    partial = measure_coverage(*inputs, plan, params=CoverageParams())
+    assert partial.coverable.tolist() == whole.coverable.tolist() == [True, False, True, False, False, True]
+    assert partial.share_of_coverable == pytest.approx(1 / 3)
+    assert partial.cause[[1, 4]].tolist() == [Cause.TOO_SHORT, Cause.COLLISION]
 
 
 def test_artefacts_that_do_not_belong_together_are_refused() -> None:

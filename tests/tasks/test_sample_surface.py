@@ -74,7 +74,7 @@ def test_both_sides_of_a_two_sided_sheet_are_sampled() -> None:
 
 
 def test_a_density_that_asks_for_too_many_samples_is_refused() -> None:
-    with pytest.raises(InvalidInputError, match=r"asks for .* samples but at most .*: lower planner.sampling.density"):
+    with pytest.raises(InvalidInputError, match=r"asks for .* samples but at most .*: lower density_per_m2"):
         samples(CYLINDER, density_per_m2=1e12)
 
 

@@ -108,6 +108,21 @@ def test_nothing_measurable_is_a_finding_with_the_causes_counted():
     assert "1 field of view" in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    ("causes", "advice"),
+    [
+        ([Cause.JOINT_SPEED] * 20 + [Cause.UNCERTAINTY], "lower scan_speed_m_s"),
+        ([Cause.OUT_OF_REACH] * 20, "move the part (T_world_part) into the robot's reach"),
+        ([Cause.TOO_SHORT] * 6 + [Cause.JOINT_SPEED] * 4, "lower shortest_m; lower scan_speed_m_s"),
+        ([Cause.NOT_CONNECTED] * 3, "move the part (T_world_part)"),
+    ],
+)
+def test_the_advice_is_for_the_causes_that_stop_most_samples(causes, advice):
+    with pytest.raises(InfeasibleError) as caught:
+        select_views(measurability(np.zeros((len(causes), 2), bool), cause=causes), params=SetCoverParams())
+    assert str(caught.value).endswith(f"): {advice}")
+
+
 def test_entries_may_come_in_any_order_and_twice():
     dense, uncertainty = strips()
     entries = measurability(dense, uncertainty)
@@ -164,6 +179,9 @@ def test_views_that_an_earlier_trajectory_left_out_are_not_selected(method):
     barred = select_views(measurability(dense, uncertainty), params=params).view[:3]
     found = select_views(measurability(dense, uncertainty), leaving_out(*barred), params=params)
     assert not np.isin(found.view, barred).any()
+    assert found.n_excluded == 3
+    replaced = changed(trajectory(), replaced_view=barred, replaced_reason=("walled in",) * 3)
+    assert digest(select_views(measurability(dense, uncertainty), replaced, params=params)) == digest(found)
     left = dense.copy()
     left[:, barred] = False
     chosen = dense[:, found.view].any(axis=1)

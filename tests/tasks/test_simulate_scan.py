@@ -74,6 +74,8 @@ def swing(*kinds: str) -> Trajectory:
         order_chosen=np.array([True]),
         left_out_view=np.zeros(0, np.int32),
         left_out_reason=(),
+        replaced_view=np.zeros(0, np.int32),
+        replaced_reason=(),
         order_lower_bound_s=0.0,
         order_proven=False,
     )

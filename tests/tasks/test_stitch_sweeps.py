@@ -141,19 +141,33 @@ def test_a_part_somewhere_else_is_an_error_that_names_views_reasons_and_mend():
     assert empty.left_out_reason[0].startswith("none of its 3 pieces could be traced")
 
 
-def test_what_an_earlier_trajectory_left_out_is_carried_on_unless_it_is_selected_again():
-    earlier = replace(trajectory(), left_out_view=np.array([1, 7], np.int32), left_out_reason=("one", "seven"))
+def test_what_an_earlier_trajectory_left_out_counts_as_replaced_unless_it_is_selected_again():
+    earlier = replace(
+        trajectory(),
+        left_out_view=np.array([1, 7], np.int32),
+        left_out_reason=("one", "seven"),
+        replaced_view=np.array([5], np.int32),
+        replaced_reason=("five",),
+    )
     found = stitch_sweeps(
         cell_model(), part_mesh(), viewpoints(), reachability(), selected([1, 3]), earlier, params=PARAMS
     )
-    assert found.left_out_view.tolist() == [7]
-    assert found.left_out_reason == ("seven",)
+    assert len(found.left_out_view) == 0
+    assert found.replaced_view.tolist() == [5, 7]
+    assert found.replaced_reason == ("five", "seven")
     assert sorted(found.view[found.view >= 0]) == [1, 3]
 
 
 def test_the_proof_of_the_order_is_stored():
     assert trajectory().order_proven
     assert trajectory().order_lower_bound_s == pytest.approx(trajectory().time_s[-1], abs=1e-6)
-    assert len(trajectory().left_out_view) == 0
+    assert len(trajectory().left_out_view) == len(trajectory().replaced_view) == 0
     greedy = run(PARAMS.model_copy(update={"method": "greedy"}))
     assert greedy.order_lower_bound_s <= trajectory().time_s[-1] + 1e-6
+
+
+@pytest.mark.parametrize(("method", "reads"), [("best", True), ("exact", True), ("greedy", False)])
+@pytest.mark.parametrize("setting", [{"exact_up_to": 3}, {"max_connections": 7}])
+def test_limits_of_the_search_count_for_the_methods_that_search(method, reads, setting):
+    other = StitchParams(method=method, **setting).canonical() != StitchParams(method=method).canonical()
+    assert other == reads

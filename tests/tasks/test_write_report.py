@@ -15,7 +15,7 @@ import pytest
 from PIL import Image
 
 from cellwright.causes import Cause
-from schemas.inspection_summary import METRICS, summarise
+from schemas.inspection_summary import METRICS, cover_words, summarise
 from schemas.report import InspectionReport
 from tasks.write_report import ReportParams, template_digest, write_report
 from tests.tasks import plan_artefacts as plan
@@ -71,6 +71,7 @@ def written(**changes: Any) -> InspectionReport:
         "coverage": plan.coverage(),
         "viewpoints": plan.viewpoints(),
         "reachability": plan.reachability(),
+        "measurability": plan.measurability(),
         "selection": plan.selection(),
         "trajectory": plan.trajectory(),
         "verification": plan.verification(),
@@ -93,7 +94,7 @@ def page() -> Page:
 def test_the_page_is_whole_html_and_fetches_nothing() -> None:
     assert report().page.startswith(b"<!doctype html>")
     assert all(source.startswith("data:image/png;base64,") for source in page().sources)
-    assert len(page().sources) == 3
+    assert len(page().sources) == 4
     assert not re.search(r"@import|url\(", "".join(page().styles))
     own = [script for script in page().scripts if "const scene" in script]
     assert not re.search(r"https?:|fetch\(|XMLHttpRequest|import\(", "".join(own))
@@ -150,7 +151,7 @@ def test_what_people_write_is_shown_and_never_run() -> None:
 def test_the_figures_are_in_the_page_and_open() -> None:
     import base64
 
-    for png in (report().coverage_png, report().uncertainty_png, report().plan_png):
+    for png in (report().cell_png, report().coverage_png, report().uncertainty_png, report().plan_png):
         assert f"data:image/png;base64,{base64.b64encode(png).decode()}" in page().sources
         with Image.open(io.BytesIO(png)) as image:
             assert min(image.size) > 300
@@ -199,6 +200,7 @@ def test_the_summary_holds_the_figures_that_studies_may_draw() -> None:
     summary = summarise(
         plate(),
         plan.viewpoints(),
+        plan.measurability(),
         plan.selection(),
         plan.trajectory(),
         plan.scan(),
@@ -237,6 +239,56 @@ def test_what_needs_attention_is_said_on_top_and_nothing_where_there_is_nothing(
     assert after.index("stand in one another") < after.index("Coverage on the part")
 
 
+def samples_of_their_own() -> Any:
+    return plan.changed(plan.viewpoints(), sample=np.arange(6, dtype=np.int32))
+
+
+def test_only_what_executed_sweeps_measure_counts_as_covered() -> None:
+    whole = json.loads(written(viewpoints=samples_of_their_own()).summary)
+    assert whole["coverage_of_samples"] == 1.0
+    partial = plan.changed(
+        plan.trajectory(),
+        view=np.array([-1, 4, -1, 4], np.int32),
+        left_out_view=np.array([1], np.int32),
+        left_out_reason=("no way",),
+    )
+    summary = json.loads(written(viewpoints=samples_of_their_own(), trajectory=partial).summary)
+    assert summary["coverage_of_samples"] == pytest.approx(4 / 6)  # the selection claims all six
+
+
+def test_after_sweeps_were_excluded_the_fewest_are_not_proven_and_the_bound_says_of_what() -> None:
+    assert "Chosen from 6 candidates; proven fewest." in page().text
+    selection = plan.changed(plan.selection(), n_excluded=2, lower_bound=1.2)
+    found = written(selection=selection)
+    summary = json.loads(found.summary)
+    assert (summary["sweeps_proven_fewest"], summary["sweeps_excluded"]) == (False, 2)
+    words = "at least 2 needed without the 2 that cannot be executed or connected"
+    assert f"Chosen from 6 candidates; {words}." in Page(found.page.decode()).text
+    assert cover_words({**summary, "sweeps_excluded": 0}) == "at least 2 needed"
+
+
+def test_sweeps_that_were_replaced_need_attention_only_where_something_is_lost() -> None:
+    replaced = plan.changed(
+        plan.trajectory(), replaced_view=np.array([3], np.int32), replaced_reason=("no way leads there",)
+    )
+    without_loss = json.loads(written(trajectory=replaced).summary)
+    assert without_loss["attention"] == []
+    assert without_loss["replaced_sweeps"] == [{"view": 3, "reason": "no way leads there"}]
+    selection = plan.changed(plan.selection(), cause=np.array([0, 0, 0, 0, 0, Cause.NOT_CONNECTED], np.int8))
+    (found,) = json.loads(written(trajectory=replaced, selection=selection).summary)["attention"]
+    assert found == (
+        "1 sample is measured only by sweeps that cannot be executed or connected (view 3: no way leads there)"
+    )
+
+
+def test_a_bound_of_the_order_is_said_to_hold_for_the_connections_found() -> None:
+    bounded = plan.changed(plan.trajectory(), order_lower_bound_s=1.5)
+    text = Page(written(trajectory=bounded).page.decode()).text
+    assert "Over the connections that were found no order of these sweeps takes less than 1.5 s." in text
+    proven = Page(written(trajectory=plan.changed(bounded, order_proven=True)).page.decode()).text
+    assert "No other order of these sweeps over the connections that were found is shorter" in proven
+
+
 def test_checks_are_told_in_units_of_the_shop_floor() -> None:
     text = page().text
     assert "joint speed 98 ≤ 100 % of the limit passed" in text
@@ -261,12 +313,15 @@ def test_the_key_of_the_page_follows_template_and_libraries(monkeypatch: pytest.
 
 
 def test_gaps_that_refinement_appended_are_no_planning_samples() -> None:
-    viewpoints = plan.changed(plan.viewpoints(), sample=np.arange(6, dtype=np.int32))
     found = []
-    for missed in (Cause.NONE, Cause.NOT_SELECTED):
-        cause = np.array([Cause.NONE] * 3 + [Cause.NOT_SELECTED] * 3 + [missed] * 4, np.int8)
-        selection = plan.changed(plan.selection(), cause=cause)
-        summary = summarise(plate(), viewpoints, selection, plan.trajectory(), plan.scan(), plan.coverage())
+    for gaps in ([6, 7, 8], [0, 0, 0]):
+        entries = plan.changed(
+            plan.measurability(),
+            view=np.array([1, 1, 1, 4, 4, 4, 4], np.int32),
+            sample=np.array([0, 1, 2, 0, *gaps], np.int32),
+            cause=np.zeros(9, np.int8),
+        )
+        summary = json.loads(written(viewpoints=samples_of_their_own(), measurability=entries).summary)
         found.append(summary["coverage_of_samples"])
     assert found == [0.5, 0.5]
 

@@ -11,7 +11,7 @@ from cellwright.arrays import FloatArray
 from cellwright.cell import inverse_kinematics as ik
 from cellwright.cell.built_in_robots import built_in_robot
 from cellwright.cell.chain_kinematics import flange_poses
-from cellwright.cell.inverse_kinematics import inverse_kinematics_for, nearest_winding, windings
+from cellwright.cell.inverse_kinematics import inverse_kinematics_for, windings
 from cellwright.cell.parallel_axes import parallel_axes_geometry
 from cellwright.cell.robot import Chain, Robot
 from cellwright.cell.transforms import inverse, pose, rotation_from_rpy
@@ -247,13 +247,6 @@ def test_windings_are_all_full_turns_within_the_limits(seed: int) -> None:
     assert ((found >= lower) & (found <= upper)).all()
     turns = (found - q) / (2 * math.pi)
     assert np.abs(turns - turns.round()).max(initial=0.0) < 1e-12
-    reference = generator.uniform(-8, 8, 3)
-    nearest = nearest_winding(q, reference, lower, upper)
-    if len(found) == 0:
-        assert nearest is None
-    else:
-        assert nearest is not None
-        assert np.abs(nearest - reference) == pytest.approx(np.abs(found - reference).min(axis=0))
 
 
 def test_a_value_on_the_limit_keeps_its_winding() -> None:

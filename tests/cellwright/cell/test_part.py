@@ -62,6 +62,16 @@ def packed_3mf(mesh: Mesh, unit: str = "millimeter") -> bytes:
     return packed.getvalue()
 
 
+FACET = (
+    b"solid plate\n facet normal 0 0 1e-0\n  outer loop\n   vertex 0 0 0\n   vertex 1.5e0 0 0\n   vertex 0 +1 0\n"
+    b"  endloop\n endfacet\nendsolid plate\n"
+)
+TWO_AND_FOUR = (
+    b"solid x\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nendloop\nendfacet\nfacet normal 0 0 1\n"
+    b"outer loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\nvertex 0 0 1\nendloop\nendfacet\nendsolid x\n"
+)
+
+
 def corners_of(vertices: FloatArray, faces: object) -> FloatArray:
     return np.sort(vertices[faces].reshape(-1, 9).round(4), axis=0)  # type: ignore[index]
 
@@ -99,7 +109,16 @@ def test_a_binary_stl_may_begin_with_the_word_that_marks_text() -> None:
         ("part.stl", b"short", "no STL, or is cut off: it says 0 faces but holds 0"),
         ("part.stl", stl_bytes(CUBE)[:-20], "it says 12 faces but holds 11"),
         ("part.stl", stl_bytes(CUBE)[:80] + bytes(4), "holds no triangles"),
-        ("part.stl", text_stl(CUBE)[:300], "cut off or malformed"),
+        ("part.stl", text_stl(CUBE)[:300], "is cut off: it does not end in `endsolid`"),
+        ("part.stl", text_stl(CUBE).replace(b"endsolid", b""), "is cut off: it does not end in `endsolid`"),
+        ("part.stl", FACET.replace(b"endfacet", b""), "1 of 1 facets are not three corners"),
+        ("part.stl", FACET.replace(b"endloop", b"vertex 1 1 1 endloop"), "1 facets but 4 corners"),
+        ("part.stl", TWO_AND_FOUR, "2 of 2 facets are not three corners"),
+        ("part.stl", FACET.decode().encode("utf-16"), "is text in UTF-16"),
+        ("part.obj", b"v 0 0\nv 1 0\nv 0 1\nf 1 2 3\n", "is malformed"),
+        ("part.obj", b"v 0 0 0\nv 1 0\nv 0 1 0\nf 1 2 3\n", "is malformed"),
+        ("part.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\nf 0/1 2/1 3/1\n", "line 5: a face names vertex 0"),
+        ("part.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 0", "line 4: a face names vertex 0"),
         ("part.stl", text_stl(CUBE).replace(b"10.0", b"1.0.0", 1), "malformed vertex"),
         ("part.ply", bytes(range(256)) * 40, "is malformed"),
         ("part.ply", text_ply(CUBE)[:-40], "is cut off: it says 12 faces but holds"),
@@ -119,6 +138,35 @@ def test_malformed_files_are_refused_with_their_name_and_a_mend(name: str, conte
     assert str(caught.value).startswith(name)
     assert words in str(caught.value)
     assert ": " in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        FACET,
+        b"\xef\xbb\xbf" + FACET,
+        FACET.replace(b"\n", b"\r\n"),
+        FACET.replace(b"\n", b"\r"),
+        FACET.replace(b"solid plate", b"solid facet normal vertex 1 2 3", 1),
+        FACET.replace(b"endsolid plate", b"endsolid vertex 1 2 3"),
+        FACET.upper(),
+    ],
+)
+def test_text_stl_is_read_whatever_its_line_ends_mark_and_name(content: bytes) -> None:
+    mesh = read_mesh("part.stl", content)
+    assert mesh.vertices[mesh.faces].tolist() == [[[0, 0, 0], [1.5, 0, 0], [0, 1, 0]]]
+
+
+def test_solids_behind_one_another_are_one_part() -> None:
+    assert len(read_mesh("part.stl", FACET + FACET).faces) == 2
+
+
+def test_a_malformed_step_file_is_refused_in_its_readers_words_and_without_a_word_on_the_terminal(
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    with pytest.raises(InvalidInputError, match=r"holds no shape \(ERR StepFile"):
+        read_mesh("part.step", b'ISO-10303-21;\n"nonsense\nEND-ISO-10303-21;\n')
+    assert capfd.readouterr() == ("", "")
 
 
 def test_a_step_file_without_a_shape_is_refused() -> None:

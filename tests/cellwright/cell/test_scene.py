@@ -217,7 +217,8 @@ def test_bodies_stand_where_pinocchio_puts_them() -> None:
     scene, peer = Scene(cell), VerificationScene(cell)
     for q in random_configurations(20):
         peer._pose(q)
-        assert np.abs(scene.body_poses(q) - peer._poses).max() < 1e-12
+        scene.collides(q)
+        assert np.abs(scene._poses - peer._poses).max() < 1e-12
 
 
 def test_the_same_question_has_the_same_answer_twice() -> None:

@@ -9,7 +9,15 @@ from cellwright.cell.bodies import Box, Capsule, Cylinder, Mesh, Sphere
 from cellwright.cell.built_in_robots import built_in_bodies
 from cellwright.cell.robot import Robot
 from cellwright.cell.transforms import apply
-from cellwright.cell.urdf_geometry import collision_bodies, mesh_references, meshes_among, meshes_in, resolve_mesh
+from cellwright.cell.urdf_geometry import (
+    body_names,
+    check_geometry,
+    collision_bodies,
+    mesh_references,
+    meshes_among,
+    meshes_in,
+    resolve_mesh,
+)
 from cellwright.errors import InvalidInputError
 from tests.cellwright.cell.robots import published_crx, shared
 
@@ -150,3 +158,30 @@ def test_the_built_in_ur10e_encloses_the_published_meshes_closely() -> None:
         beyond = (points @ normals.T - np.einsum("fi,fi->f", normals, corners[:, 0])).max(axis=1)  # convex, outward
         assert beyond.max() < 1e-4
         assert -beyond.mean() < 1e-3
+
+
+def test_a_mesh_in_mm_is_told_from_its_size() -> None:
+    geometry = '<mesh filename="t.obj" scale="200 200 200"/>'
+    with pytest.raises(InvalidInputError, match="link 'upper' has a length or offset of 200 m, but 50 m is the most"):
+        collision_bodies(arm(geometry), meshes_among({"t.obj": TETRAHEDRON}))
+
+
+@pytest.mark.parametrize(
+    ("geometry", "words"),
+    [
+        ("<mesh/>", "has no filename"),
+        ("<cone/>", "is a <cone>"),
+        ('<box size="1 -1 1"/>', "it must be positive"),
+        ('<cylinder radius="1" length="99"/>', "a length or offset of 99 m"),
+        ('<sphere radius="30"/>', "a length or offset of 60 m"),
+    ],
+)
+def test_geometry_is_checked_without_its_meshes(geometry: str, words: str) -> None:
+    check_geometry(arm('<mesh filename="nowhere.stl"/>').tree)
+    with pytest.raises(InvalidInputError, match=words):
+        check_geometry(arm(geometry).tree)
+
+
+def test_bodies_have_the_names_that_are_told_beforehand() -> None:
+    robot = arm('<sphere radius="1"/>')
+    assert body_names(robot.tree) == [body.name for body in collision_bodies(robot, meshes_among({}))]

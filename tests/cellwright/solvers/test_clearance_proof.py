@@ -123,7 +123,11 @@ def test_a_whole_plan_is_proven_to_a_hundredth_without_measuring_all() -> None:
     plan, cell = timed_plan(scanning_cell.trajectory(), scanning_cell.selection()), scanning_cell.cell()
     scene = VerificationScene(cell)
     time = dense_times(plan, MovingCorners.of(cell), step=1e-3, step_angle=np.deg2rad(0.1))
-    proof = prove_clearance(plan, time, cell, scene)
+    shares: list[float] = []
+    proof = prove_clearance(plan, time, cell, scene, progress=shares.append)
+    assert proof == prove_clearance(plan, time, cell, scene), "to be told changes nothing"
+    assert len(shares) > 3
+    assert shares == sorted(shares) and shares[0] >= 0.0 and 0.1 < shares[-1] <= 1.0
     sampled = distances(plan, scene, time[:: len(time) // 60])
     assert 0.0 < proof.proven <= proof.found <= sampled.min()
     assert proof.proven >= 0.99 * proof.found - 1e-6

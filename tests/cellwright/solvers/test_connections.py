@@ -7,7 +7,7 @@ from cellwright.cell.robot import Chain
 from cellwright.solvers.connections import Connections, ConnectionSteps, first_collision
 from cellwright.solvers.hermite import shares_of_limits, states_at
 from cellwright.solvers.motion_steps import MovingCorners
-from cellwright.solvers.path_timing import Limits, straight_time
+from cellwright.solvers.path_timing import Limits, time_straight
 from cellwright.solvers.roadmap import Roadmap, RoadmapSize
 from tests.cellwright.solvers.flat_worlds import PlanarArm
 
@@ -39,7 +39,7 @@ Q_A, Q_B = np.array([-1.5, 0.2]), np.array([1.5, -0.2])
 def test_a_free_connection_is_straight_and_as_fast_as_the_closed_form():
     found = connections(PlanarArm([])).between(Q_A, Q_B)
     assert found.via == "direct"
-    assert found.motion.duration == pytest.approx(float(straight_time(Q_A, Q_B, LIMITS)))
+    assert found.motion.duration == pytest.approx(time_straight(Q_A, Q_B, LIMITS, 0.02).duration)
 
 
 def test_a_way_around_is_free_smooth_and_within_limits():
@@ -50,7 +50,7 @@ def test_a_way_around_is_free_smooth_and_within_limits():
     assert planner.confirm(Q_A, Q_B)
     motion = found.motion
     assert motion.position[[0, -1]] == pytest.approx(np.stack([Q_A, Q_B]), abs=1e-12)
-    assert motion.duration > float(straight_time(Q_A, Q_B, LIMITS))
+    assert motion.duration > time_straight(Q_A, Q_B, LIMITS, 0.02).duration
     dense, _ = states_at(motion.time, motion.position, motion.velocity, np.linspace(0, motion.duration, 2000))
     assert not any(world.collides(q) for q in dense)
     shares = shares_of_limits(motion.time, motion.position, motion.velocity, LIMITS.velocity, LIMITS.acceleration)

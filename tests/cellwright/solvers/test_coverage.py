@@ -47,6 +47,7 @@ def explain(
     *,
     blocked_by: list[int] | None = None,
     selected: list[bool] | None = None,
+    connected: list[bool] | None = None,
     occluder: Occluder | None = None,
     heights: tuple[float, ...] = (0.182,),
 ) -> Misses:
@@ -60,6 +61,7 @@ def explain(
         outcome=np.array(outcome, np.int8),
         blocked_by=np.array(blocked_by or [-1] * n_views, np.int32),
         selected=np.array(selected or [False] * n_views),
+        connected=np.array(connected or [True] * n_views),
     )
     return explain_misses(SCANNER, U_MAX, occluder or Occluder(), np.zeros((1, 3)), UP, candidates)
 
@@ -97,6 +99,29 @@ def test_the_cause_is_the_furthest_that_a_measuring_candidate_came(
     assert found.blocked_by.tolist() == [-1]
 
 
+@pytest.mark.parametrize(
+    ("pieces", "selected", "connected", "expected", "is_coverable"),
+    [
+        ([(0, -0.1, 0.1)], [True, False], [False, True], Cause.NOT_CONNECTED, True),
+        ([(0, -0.1, 0.1), (1, -0.1, 0.1)], [False, False], [False, True], Cause.NOT_SELECTED, True),
+        ([(0, -0.1, 0.1), (1, 0.1, 0.2)], [False, True], [False, True], Cause.NOT_CONNECTED, True),
+        ([(0, -0.1, 0.1), (1, -0.1, 0.1)], [False, True], [False, True], Cause.NOT_SCANNED, True),
+        ([(0, 0.1, 0.2)], [False, False], [False, True], Cause.TOO_SHORT, False),
+    ],
+)
+def test_what_only_unconnected_candidates_measure_is_coverable_and_not_connected(
+    pieces: list[tuple[int, float, float]],
+    selected: list[bool],
+    connected: list[bool],
+    expected: Cause,
+    is_coverable: bool,
+) -> None:
+    chosen = [one and other for one, other in zip(selected, connected, strict=True)]
+    found = explain(pieces, [Cause.NONE, Cause.OUT_OF_REACH], selected=chosen, connected=connected)
+    assert Cause(int(found.cause[0])) == expected
+    assert bool(found.coverable[0]) == is_coverable
+
+
 def test_a_collision_names_the_body_that_stopped_the_most_measuring_candidates() -> None:
     collision = [Cause.COLLISION] * 5
     found = explain([], [*collision, Cause.JOINT_LIMIT], blocked_by=[4, 2, 2, 4, 4, 1])
@@ -117,6 +142,7 @@ def test_blocks_of_points_give_what_one_block_gives(monkeypatch: pytest.MonkeyPa
         outcome=np.array([0, Cause.COLLISION], np.int8),
         blocked_by=np.array([-1, 3], np.int32),
         selected=np.array([False, False]),
+        connected=np.array([True, True]),
     )
     normals = np.repeat(UP, 40, axis=0)
     whole = explain_misses(SCANNER, U_MAX, occluder_of(solid), points, normals, pieces)

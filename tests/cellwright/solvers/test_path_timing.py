@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -8,13 +10,13 @@ from hypothesis.extra.numpy import arrays
 from scipy.interpolate import CubicSpline
 
 from cellwright.errors import SolverError
+from cellwright.solvers import path_timing
 from cellwright.solvers.hermite import shares_of_limits
 from cellwright.solvers.path_timing import (
     LIMIT_TOLERANCE,
     Limits,
     TimedMotion,
     least_time,
-    straight_time,
     time_path,
     time_straight,
     trapezoid_time,
@@ -31,6 +33,13 @@ def keeps_limits(motion: TimedMotion, limits: Limits) -> bool:
     return bool(max(speed.max(), acceleration.max()) <= 1.0 + LIMIT_TOLERANCE + 1e-9)
 
 
+def straight_time(q_a, q_b) -> float:
+    """The least time of the straight motion, by the trapezoid of the parameter that all joints share."""
+    length = np.maximum(np.abs(q_b - q_a), 1e-12)
+    speed, acceleration = (LIMITS.velocity / length).min(), (LIMITS.acceleration / length).min()
+    return float(trapezoid_time(np.array(1.0), speed, acceleration))
+
+
 def line(q_a, q_b):
     return CubicSpline([0.0, 1.0], np.stack([q_a, q_b]), bc_type="natural")
 
@@ -38,7 +47,7 @@ def line(q_a, q_b):
 @given(CONFIGURATION, CONFIGURATION)
 @settings(max_examples=60, deadline=None)
 def test_no_motion_undercuts_the_slowest_joint_alone(q_a, q_b):
-    assert least_time(q_a, q_b, LIMITS) <= straight_time(q_a, q_b, LIMITS) + 1e-6
+    assert least_time(q_a, q_b, LIMITS) <= time_straight(q_a, q_b, LIMITS, 0.008).duration + 1e-6
     alone = trapezoid_time(q_b - q_a, LIMITS.velocity, LIMITS.acceleration)
     assert float(least_time(q_a, q_b, LIMITS)) == alone.max()
 
@@ -48,7 +57,7 @@ def test_no_motion_undercuts_the_slowest_joint_alone(q_a, q_b):
 def test_a_straight_motion_keeps_its_limits_and_takes_its_closed_form_time(q_a, q_b):
     motion = time_straight(q_a, q_b, LIMITS, 0.008)
     if np.abs(q_b - q_a).max() > 1e-6:
-        assert motion.duration == pytest.approx(float(straight_time(q_a, q_b, LIMITS)), abs=1e-12)
+        assert motion.duration == pytest.approx(straight_time(q_a, q_b), abs=1e-12)
         assert keeps_limits(motion, LIMITS)
     assert np.all(np.diff(motion.time) > 0)
     assert np.array_equal(motion.position[[0, -1]], [q_a, q_b])
@@ -59,7 +68,7 @@ def test_a_straight_motion_keeps_its_limits_and_takes_its_closed_form_time(q_a, 
 def test_a_timed_straight_path_is_as_fast_as_its_trapezoid(seed):
     q_a, q_b = np.random.default_rng(seed).uniform(-3, 3, (2, 3))
     motion = time_path(line(q_a, q_b), np.array([0.0, 1.0]), LIMITS, 0.008)
-    fastest = float(straight_time(q_a, q_b, LIMITS))
+    fastest = straight_time(q_a, q_b)
     assert fastest * (1 - 1e-9) <= motion.duration <= 1.01 * fastest
     assert keeps_limits(motion, LIMITS)
 
@@ -100,3 +109,26 @@ def test_a_path_without_numbers_is_a_solver_error():
 
     with pytest.raises(SolverError, match="no timing"):
         time_path(path, np.array([0.0, 1.0]), LIMITS, 0.008)
+
+
+@given(
+    time=st.lists(st.floats(0.0, 1.0), max_size=30),
+    fixed=st.lists(st.floats(0.0, 1.0), min_size=2, max_size=10, unique=True),
+)
+def test_times_near_a_fixed_one_give_way_to_it(time, fixed):
+    fixed = np.array(fixed)
+    found = path_timing._merged(np.array(time), fixed)
+    kept = [moment for moment in found if moment in fixed]
+    far = [moment for moment in time if np.abs(moment - np.array(kept)).min() > path_timing.SHORTEST_INTERVAL]
+    assert {fixed.min(), fixed.max()} <= set(kept)
+    assert found.tolist() == sorted([*kept, *far])
+
+
+def test_long_motions_with_many_switches_take_memory_for_their_states_alone():
+    time = np.linspace(0.0, 2000.0, 200_000)
+    tracemalloc.start()
+    try:
+        path_timing._merged(time, np.linspace(0.0, 2000.0, 500))
+        assert tracemalloc.get_traced_memory()[1] < 20 * time.nbytes
+    finally:
+        tracemalloc.stop()

@@ -60,6 +60,7 @@ def test_a_sound_plan_passes_every_check():
     verification.require(checks + proof.checks)
     assert proof.n_states > len(sound().time)
     assert progress == sorted(progress) and progress[-1] == 1.0
+    assert any(verification.STATES_SHARE < share < 1.0 for share in progress), "the proof tells how far it is, too"
     assert len({check.name for check in checks}) == len(checks)
 
 
@@ -249,3 +250,24 @@ def test_an_empty_plan_is_invalid():
     plan = changed(segments=())
     with pytest.raises(InvalidInputError, match="0 segments"):
         verification.check_order(plan)
+
+
+@pytest.mark.parametrize(
+    ("name", "helps", "not_this"),
+    [
+        ("scanner acceleration on a sweep", "tool_acceleration_m_s2", "clearance_m"),
+        ("joint acceleration of the curve", "max_acceleration_rad_s2", "clearance_m"),
+        ("colliding states", "clearance_m", "max_acceleration_rad_s2"),
+        ("gap between segments", "no setting mends this", "clearance_m"),
+    ],
+)
+def test_the_error_names_only_what_can_help(name, helps, not_this):
+    with pytest.raises(InfeasibleError, match=f"{name} is 2 .*{helps}") as found:
+        verification.require([verification.Check(name, 2.0, 1.0, "of the limit")])
+    assert not_this not in str(found.value)
+
+
+def test_every_mend_belongs_to_a_check():
+    names = {check.name for check in quick_checks(sound())}
+    proof = verification.check_collisions(sound(), cell(), VerificationScene(cell()), COARSE)
+    assert set(verification.MENDS) <= names | {check.name for check in proof.checks}

@@ -19,6 +19,13 @@ LOCKED_IN = [
     ((0.8, -1.0), (1.0, 1.0)),
 ]
 
+TIGHTLY_LOCKED_IN = [
+    ((-0.1, -0.1), (0.1, -0.05)),
+    ((-0.1, 0.05), (0.1, 0.1)),
+    ((-0.1, -0.1), (-0.05, 0.1)),
+    ((0.05, -0.1), (0.1, 0.1)),
+]
+
 
 def connect(world, q_a, q_b, seed=0, n_most=3000):
     rng = np.random.default_rng(seed)
@@ -40,9 +47,17 @@ def test_a_free_straight_way_needs_few_nodes():
     assert path is not None and world.n_states < 1000
 
 
-def test_what_is_locked_in_is_given_up_soon():
+def test_what_is_locked_in_is_not_connected():
     world = BoxWorld(LOCKED_IN)
     assert connect(world, [0.0, 0.0], [1.5, 1.5], n_most=800) is None
+
+
+@pytest.mark.parametrize("ends", [([0.0, 0.0], [1.5, 1.5]), ([1.5, 1.5], [0.0, 0.0])])
+def test_what_is_tightly_locked_in_is_given_up_soon(ends):
+    """In a cage narrower than one edge no node can stand; the other tree would grow to thousands."""
+    world = BoxWorld(TIGHTLY_LOCKED_IN)
+    assert connect(world, *ends, n_most=20_000) is None
+    assert world.n_states < 20_000
 
 
 def test_one_seed_gives_one_path():

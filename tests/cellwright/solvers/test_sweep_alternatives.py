@@ -5,8 +5,16 @@ import itertools
 import numpy as np
 import pytest
 
+from cellwright.solvers import sweep_alternatives
 from cellwright.solvers.path_timing import Limits
-from cellwright.solvers.sweep_alternatives import flange_targets, nearest_windings, trace_sweep, windings
+from cellwright.solvers.sweep_alternatives import (
+    SweepSettings,
+    flange_targets,
+    nearest_windings,
+    sweep_options,
+    trace_sweep,
+    windings,
+)
 from tests.cellwright.solvers import scanning_cell
 
 
@@ -60,6 +68,42 @@ def test_the_nearest_windings_come_first_and_no_more_than_asked_for():
     assert len(every) == sum(len(windings(path, chain)) for path in paths)
     assert np.all(np.diff(away) >= -1e-8)
     assert [(n, t.tolist()) for n, t in few] == [(n, t.tolist()) for n, t in every[:5]]
+
+
+def found_options(count, number=0):
+    chain = scanning_cell.cell().robot.chain
+    settings = SweepSettings(Limits(chain.max_velocity, chain.max_acceleration), 0.1, 1.0, 0.008, 0.004)
+    return sweep_options(scanning_cell.cell(), scanning_cell.sweeps()[number], number, settings, count)
+
+
+def told(options):
+    """What each alternative is called, and its joint positions halfway."""
+    return {o.alternative: o.motion.position[len(o.motion.position) // 2].tolist() for o in options[::2]}
+
+
+def test_an_alternative_is_called_the_same_however_many_are_asked_for():
+    few, many = told(found_options(2)), told(found_options(12))
+    assert len(few) == 2 and len(many) == 12
+    assert {name: many[name] for name in few} == few
+
+
+def test_alternatives_of_a_finer_trace_are_never_taken_for_those_of_the_usual_one(monkeypatch):
+    usual = found_options(8)
+    with monkeypatch.context() as patch:
+        patch.setattr(sweep_alternatives, "trace_sweep", lambda *a: None if a[-1] > 0.002 else trace_sweep(*a))
+        finer = found_options(8)
+    assert len(usual) == len(finer) == 16
+    for name in ("alternative", "path"):
+        assert not {getattr(option, name) for option in usual} & {getattr(option, name) for option in finer}
+
+
+def test_a_path_is_called_the_same_whether_or_not_other_pieces_can_be_followed(monkeypatch):
+    every = found_options(10_000)
+    first = scanning_cell.sweeps()[0].pieces[0].branch
+    monkeypatch.setattr(sweep_alternatives, "trace_sweep", lambda *a: None if a[3] == first else trace_sweep(*a))
+    rest = found_options(10_000)
+    assert 0 < len(rest) < len(every)
+    assert {o.path: o.branch for o in rest}.items() <= {o.path: o.branch for o in every}.items()
 
 
 def test_a_timed_sweep_moves_at_scan_speed_and_ends_at_rest():

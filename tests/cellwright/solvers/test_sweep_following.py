@@ -372,7 +372,7 @@ def test_a_slow_solver_asked_at_few_poses_gives_the_pieces_of_the_closed_form(mo
     sweeps = sweeps_around(30)
     expected = follow_sweeps(cell(), sweeps, settings=SETTINGS)
     solver = inverse_kinematics._by_elimination(cell().robot.chain)
-    assert solver is not None and solver.slow
+    assert solver.slow
     monkeypatch.setattr("cellwright.solvers.sweep_following.inverse_kinematics_for", lambda chain: solver)
     found = follow_sweeps(cell(), sweeps, settings=SETTINGS)
     assert len(expected.sweep) > 10
