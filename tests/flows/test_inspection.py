@@ -221,7 +221,7 @@ class TestCommandLine:
         paths = {name: folder / path for name, path in printed["files"].items()}
         assert {path.name for path in paths.values()} == {path.name for path in results.iterdir()} == {
             "report.html", "plan.mcap", "trajectory.parquet", "segments.parquet", "scan.parquet", "summary.json",
-            "coverage.png", "uncertainty.png", "plan.png",
+            "cell.png", "coverage.png", "uncertainty.png", "plan.png",
         }  # fmt: skip
         states = pq.read_table(results / "trajectory.parquet")
         assert states["time_s"][0].as_py() == 0.0
@@ -348,7 +348,8 @@ class TestUnderPrefect:
         assert {stage.state_name for stage in stages} == {"Cached"}
         found = {artifact.key: artifact for artifact in artifacts}
         assert found.keys() == {
-            "inspection-summary", "inspection-coverage", "inspection-figure-coverage", "inspection-figure-uncertainty",
+            "inspection-summary", "inspection-coverage", "inspection-figure-cell",
+            "inspection-figure-coverage", "inspection-figure-uncertainty",
             "inspection-figure-plan",
         }  # fmt: skip
         assert "| surface measured |" in str(found["inspection-summary"].data)
