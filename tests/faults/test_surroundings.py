@@ -103,7 +103,9 @@ def test_an_unknown_stage_to_refresh_is_refused(bench: Bench) -> None:
     ],
 )
 def test_a_lake_command_about_nothing_is_refused(arguments: list[str], code: int, says: str, bench: Bench) -> None:
-    assert command_line.main(["lake", *arguments, "--lake", str(bench.folder / "none")]) == code
+    empty = bench.folder / "none"
+    empty.mkdir()
+    assert command_line.main(["lake", *arguments, "--lake", str(empty)]) == code
     said = bench.capsys.readouterr().err
     assert says in said
     assert "Traceback" not in said
