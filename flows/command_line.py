@@ -367,26 +367,9 @@ def _lake(options: argparse.Namespace) -> int:
 
 
 def _server(options: argparse.Namespace) -> int:
-    from flows import server
-    from flows.progress import stage_progress
+    from flows import server_commands
 
-    if options.action == "stop":
-        stopped = server.stop()
-        if options.json:
-            write_json({"stopped": stopped})
-        else:
-            sys.stdout.write("stopped\n" if stopped else "no server was running\n")
-        return 0
-    with stage_progress(quiet=options.json) as (_, say):
-        found = server.start(say) if options.action == "start" else server.status()
-    if options.json:
-        write_json(found.as_json())
-    elif found.state == "stopped":
-        sys.stdout.write(f"stopped (its data: {found.home})\n")
-    else:
-        process = f", process {found.pid}" if found.pid else ""
-        sys.stdout.write(f"{found.state}: {found.ui_url}{process} (its data: {found.home})\n")
-    return 0
+    return server_commands.run(options.action, as_json=options.json)
 
 
 def _examples(options: argparse.Namespace) -> int:

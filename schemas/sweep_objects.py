@@ -6,12 +6,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cellwright.arrays import Int32Array
+from cellwright.arrays import BoolArray, Int32Array
+from cellwright.errors import InvalidInputError
 from schemas.part import PartMesh, Surroundings
 from schemas.views import Reachability, Viewpoints
 
 if TYPE_CHECKING:
     from cellwright.cell.occlusion import Occluder
+    from cellwright.solvers.coverage import CandidatePieces
     from cellwright.solvers.measurability import Sweeps
 
 
@@ -46,6 +48,34 @@ def piece_sweeps(viewpoints: Viewpoints, reachability: Reachability, rows: Int32
         rotation_from_quaternion(viewpoints.quaternion[view]),
         reachability.start_m[rows],
         reachability.end_m[rows],
+    )
+
+
+def candidate_pieces(
+    viewpoints: Viewpoints, reachability: Reachability, selected: BoolArray, connected: BoolArray
+) -> CandidatePieces:
+    """Return all candidates with their executable pieces; ``selected`` and ``connected`` are of the views, (views,).
+
+    Raises:
+        InvalidInputError: If the reachability is that of other viewpoints.
+    """
+    from cellwright.solvers.coverage import CandidatePieces
+
+    n_views = len(viewpoints.sample)
+    if len(reachability.outcome) != n_views:
+        raise InvalidInputError(
+            f"there are {n_views} viewpoints but reachability knows {len(reachability.outcome)}: give those that it "
+            "was made of"
+        )
+    return CandidatePieces(
+        sweeps=candidate_sweeps(viewpoints),
+        view=reachability.view,
+        start=reachability.start_m,
+        end=reachability.end_m,
+        outcome=reachability.outcome,
+        blocked_by=reachability.blocked_by,
+        selected=selected,
+        connected=connected,
     )
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from cellwright.errors import InvalidInputError
 from schemas.findings import SampleFindings
 from schemas.part import PartMesh, SurfaceSamples, Surroundings
 from schemas.scanner import SensingParams
@@ -36,15 +35,10 @@ def explain_samples(
     Raises:
         InvalidInputError: If the artefacts do not belong together.
     """
-    from cellwright.solvers.coverage import CandidatePieces, explain_misses
-    from schemas.sweep_objects import candidate_sweeps, occluder_of
+    from cellwright.solvers.coverage import explain_misses
+    from schemas.sweep_objects import candidate_pieces, occluder_of
 
     n_views = len(viewpoints.sample)
-    if len(reachability.outcome) != n_views:
-        raise InvalidInputError(
-            f"there are {n_views} viewpoints but reachability knows {len(reachability.outcome)}: give those that it "
-            "was made of"
-        )
     selected = np.zeros(n_views, bool)
     if selection is not None:
         selected[selection.view] = True
@@ -54,16 +48,7 @@ def explain_samples(
         occluder_of(mesh, surroundings),
         samples.points_m,
         samples.normals,
-        CandidatePieces(
-            sweeps=candidate_sweeps(viewpoints),
-            view=reachability.view,
-            start=reachability.start_m,
-            end=reachability.end_m,
-            outcome=reachability.outcome,
-            blocked_by=reachability.blocked_by,
-            selected=selected,
-            connected=np.ones(n_views, bool),
-        ),
+        candidate_pieces(viewpoints, reachability, selected, np.ones(n_views, bool)),
         progress=progress,
     )
     return SampleFindings(

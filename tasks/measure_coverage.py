@@ -8,7 +8,6 @@ import numpy as np
 from pydantic import Field
 
 from cellwright.causes import Cause
-from cellwright.errors import InvalidInputError
 from schemas.motion import ScanCloud, Trajectory
 from schemas.part import PartMesh, SurfaceSamples, Surroundings
 from schemas.scanner import SensingParams
@@ -48,16 +47,11 @@ def measure_coverage(
     Raises:
         InvalidInputError: If the artefacts do not belong together.
     """
-    from cellwright.solvers.coverage import CandidatePieces, explain_misses, match_points
+    from cellwright.solvers.coverage import explain_misses, match_points
     from schemas.plan_objects import unconnected_views
-    from schemas.sweep_objects import candidate_sweeps, occluder_of
+    from schemas.sweep_objects import candidate_pieces, occluder_of
 
     n_views = len(viewpoints.sample)
-    if len(reachability.outcome) != n_views:
-        raise InvalidInputError(
-            f"there are {n_views} viewpoints but reachability knows {len(reachability.outcome)}: give those that it "
-            "was made of"
-        )
     uncertainty = match_points(
         cloud.points_m,
         cloud.normals,
@@ -78,16 +72,7 @@ def measure_coverage(
         occluder_of(mesh, surroundings),
         cloud.points_m[missed],
         cloud.normals[missed],
-        CandidatePieces(
-            sweeps=candidate_sweeps(viewpoints),
-            view=reachability.view,
-            start=reachability.start_m,
-            end=reachability.end_m,
-            outcome=reachability.outcome,
-            blocked_by=reachability.blocked_by,
-            selected=selected & connected,
-            connected=connected,
-        ),
+        candidate_pieces(viewpoints, reachability, selected & connected, connected),
         progress=progress,
     )
     n_points = len(uncertainty)

@@ -20,6 +20,7 @@ from cellwright.cell.cell import Cell
 from cellwright.cell.chain_kinematics import link_poses_into
 from cellwright.cell.convex_gap import Hull, convex_gap, hull_of, hull_table
 from cellwright.cell.scene import Scene, halving_order
+from cellwright.cell.sphere_filter import relative_into
 from cellwright.cell.transforms import inverse
 
 _CERTAIN = 2e-6
@@ -155,7 +156,7 @@ def _decide_states(
                 link_poses_into(T_parent_joint, axis, states[k], links)
                 placed = True
             a, b = pairs[p, 0], pairs[p, 1]
-            _relative_into(links, pairs[p, 2], pairs[p, 3], relative)
+            relative_into(links, pairs[p, 2], pairs[p, 3], relative)
             square = 0.0
             for row in range(3):
                 away = relative[row, 3] - balls[a, row]
@@ -178,17 +179,3 @@ def _decide_states(
             still_open[count] = k
             count += 1
     return -1, count
-
-
-@numba.njit(cache=True, nogil=True)
-def _relative_into(links: FloatArray, first: int, last: int, out: FloatArray) -> None:
-    """Write the pose of link ``last`` as seen from link ``first`` to ``out`` (4, 4)."""
-    for row in range(3):
-        for column in range(4):
-            total = 0.0
-            for k in range(3):
-                away = links[first, k, 3] if column == 3 else 0.0
-                total += links[first, k, row] * (links[last, k, column] - away)
-            out[row, column] = total
-    out[3, 0] = out[3, 1] = out[3, 2] = 0.0
-    out[3, 3] = 1.0

@@ -126,7 +126,7 @@ class Robot:
         high = _limits(joints, "upper", _values("upper", upper, names))
         acceleration = np.where(np.isnan(given), speed / ACCELERATION_TIME, given)
         _check_limits(names, low, high, speed, acceleration)
-        fixed, T_last_flange = _fixed_poses(path, joints)
+        fixed, T_last_flange = fixed_poses(path)
         axis = np.array([joint.axis for joint in joints])
         chain = Chain(fixed, axis, T_last_flange, low, high, speed, acceleration)
         return cls(name or tree.name, urdf_text, base, flange, names, chain, tree)
@@ -242,17 +242,28 @@ def _n_moving(tree: UrdfTree, base: str, link: str) -> int:
 
 
 def _moving(path: list[UrdfJoint], base: str, flange: str) -> list[UrdfJoint]:
-    joints = [joint for joint in path if joint.kind != "fixed"]
-    if not joints:
-        raise InvalidInputError(
-            f"no moving joint lies between {base!r} and {flange!r}: name other base or flange links"
-        )
+    joints = moving_joints(path, base, flange)
     for joint in joints:
         if joint.kind not in ("revolute", "continuous"):
             raise InvalidInputError(
                 f"joint {joint.name!r} is {joint.kind}: only arms of revolute joints can be planned; "
                 "choose base and flange links so that it lies outside the chain, or make it fixed"
             )
+    return joints
+
+
+def moving_joints(path: list[UrdfJoint], base: str, flange: str) -> list[UrdfJoint]:
+    """Return the joints of a path that move on their own.
+
+    Raises:
+        InvalidInputError: If there is none, or one mimics another.
+    """
+    joints = [joint for joint in path if joint.kind != "fixed"]
+    if not joints:
+        raise InvalidInputError(
+            f"no moving joint lies between {base!r} and {flange!r}: name other base or flange links"
+        )
+    for joint in joints:
         if joint.mimics:
             raise InvalidInputError(
                 f"joint {joint.name!r} mimics {joint.mimics!r}: coupled joints on the arm's chain are not supported"
@@ -260,17 +271,16 @@ def _moving(path: list[UrdfJoint], base: str, flange: str) -> list[UrdfJoint]:
     return joints
 
 
-def _fixed_poses(path: list[UrdfJoint], joints: list[UrdfJoint]) -> tuple[FloatArray, FloatArray]:
-    """Merge fixed joints into the moving joint behind them: (joints, 4, 4), and the rest up to the flange."""
-    fixed = np.empty((len(joints), 4, 4))
+def fixed_poses(path: list[UrdfJoint]) -> tuple[FloatArray, FloatArray]:
+    """Merge fixed joints into the moving joint behind them: (joints, 4, 4), and the rest up to the flange (4, 4)."""
+    fixed: list[FloatArray] = []
     T = np.eye(4)
-    number = 0
     for joint in path:
         T = T @ joint.T_parent_joint
         if joint.kind != "fixed":
-            fixed[number] = T
-            T, number = np.eye(4), number + 1
-    return fixed, T
+            fixed.append(T)
+            T = np.eye(4)
+    return np.array(fixed).reshape(-1, 4, 4), T
 
 
 def _values(what: str, given: JointValues | None, names: tuple[str, ...]) -> FloatArray:

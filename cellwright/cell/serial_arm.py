@@ -10,20 +10,16 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
 
 from cellwright.arrays import BoolArray, FloatArray
+from cellwright.cell.robot import ACCELERATION_TIME, Robot, fixed_poses, moving_joints
 from cellwright.cell.urdf_tree import UrdfJoint, UrdfTree, parse_urdf
 from cellwright.errors import InvalidInputError
 
-if TYPE_CHECKING:
-    from cellwright.cell.robot import Robot
-
-ACCELERATION_TIME = 0.15
-"""Seconds in which a joint without stated acceleration limit reaches full speed (as for `Robot`)."""
 _FULL_TURN = 2.0 * math.pi
 
 
@@ -134,7 +130,7 @@ class SerialArm:
         velocity = given if max_velocity is None else np.array(max_velocity, float)
         acceleration = velocity / ACCELERATION_TIME if max_acceleration is None else np.array(max_acceleration, float)
         _check_limits(joints, lower, upper, velocity, acceleration)
-        T_parent_joint, T_last_flange = _fixed_poses(path, len(joints))
+        T_parent_joint, T_last_flange = fixed_poses(path)
         return cls(
             name or tree.name,
             urdf_text,
@@ -246,16 +242,10 @@ def _only_tip(tree: UrdfTree, base: str) -> str:
 
 
 def _moving(path: list[UrdfJoint], base: str, flange: str) -> list[UrdfJoint]:
-    joints = [joint for joint in path if joint.kind != "fixed"]
-    if not joints:
-        raise InvalidInputError(f"no moving joint lies between {base!r} and {flange!r}: name other links")
+    joints = moving_joints(path, base, flange)
     for joint in joints:
         if joint.kind not in ("revolute", "continuous", "prismatic"):
             raise InvalidInputError(f"joint {joint.name!r} is {joint.kind}: use revolute, continuous, prismatic, fixed")
-        if joint.mimics:
-            raise InvalidInputError(
-                f"joint {joint.name!r} mimics {joint.mimics!r}: coupled joints on the arm's chain are not supported"
-            )
     return joints
 
 
@@ -285,19 +275,6 @@ def _check_limits(
                 raise InvalidInputError(
                     f"joint {joint.name!r} has {what} limit {value:.6g} {unit}: give a positive, finite one"
                 )
-
-
-def _fixed_poses(path: list[UrdfJoint], n_joints: int) -> tuple[FloatArray, FloatArray]:
-    """Merge fixed joints into the moving joint behind them: (joints, 4, 4), and the rest up to the flange."""
-    fixed = np.empty((n_joints, 4, 4))
-    T = np.eye(4)
-    number = 0
-    for joint in path:
-        T = T @ joint.T_parent_joint
-        if joint.kind != "fixed":
-            fixed[number] = T
-            T, number = np.eye(4), number + 1
-    return fixed, T
 
 
 def _efforts(urdf_text: str, names: list[str]) -> FloatArray:

@@ -14,6 +14,7 @@ from flows import command_line, server
 from storage.lake import Lake
 from tests.faults.bench import LAKE, MALFORMED, Bench
 from tests.small_inspection import write_cell
+from tests.unprivileged import without_privileges
 
 
 @pytest.mark.parametrize(
@@ -38,14 +39,10 @@ def closed_folder(tmp_path: Path) -> Iterator[Path]:
         if "pytest-of-" in str(each):
             each.chmod(0o755)
     tmp_path.chmod(0o755)
-    root = os.geteuid() == 0
-    if root:
-        os.seteuid(65534)  # root writes everywhere
     try:
-        yield folder
+        with without_privileges():
+            yield folder
     finally:
-        if root:
-            os.seteuid(0)
         folder.chmod(0o755)
 
 

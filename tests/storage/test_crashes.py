@@ -17,6 +17,7 @@ import pytest
 from cellwright.errors import LakeError
 from storage.lake import Lake
 from tests.storage.specimens import recipe, same, tally
+from tests.unprivileged import without_privileges
 
 ROOT = Path(__file__).parents[2]
 
@@ -223,14 +224,10 @@ def closed_folder() -> Iterator[Path]:
         Lake(str(folder / "lake")).publish(recipe(old=1).key, tally(7), recipe(old=1))
         for path in [folder, *folder.rglob("*")]:
             path.chmod(path.stat().st_mode & ~0o222)
-        root = os.geteuid() == 0
-        if root:
-            os.seteuid(65534)  # root writes everywhere
         try:
-            yield folder
+            with without_privileges():
+                yield folder
         finally:
-            if root:
-                os.seteuid(0)
             for path in [folder, *folder.rglob("*")]:
                 path.chmod(0o755)
 
