@@ -29,7 +29,10 @@ from cellwright.cell.convex_gap import convex_gap
 from cellwright.cell.occlusion import trace_segments
 from cellwright.cell.scene import Scene
 from cellwright.cell.sphere_filter import ball_bounds, bounding_gap, centres_into, compare_bodies, relative_into
-from cellwright.solvers import measurability, state_tests, sweep_following, sweep_pieces, sweep_states
+from cellwright.solvers import measurability, state_tests
+from cellwright.solvers.sweeps import following as sweep_following
+from cellwright.solvers.sweeps import pieces as sweep_pieces
+from cellwright.solvers.sweeps import states as sweep_states
 
 POSES_PER_CHUNK = 512
 """So few that what is recorded of a chunk stays near the processor."""

@@ -16,14 +16,14 @@ from functools import partial
 import numpy as np
 
 from benchmarks.layout_problems import four_stations, quadrant_posts
-from cellwright.solvers.layout_direct import DirectSettings, solve_direct
-from cellwright.solvers.layout_problem import LayoutProblem
-from cellwright.solvers.layout_rounds import Stage
-from cellwright.solvers.layout_second_order import SecondOrderSettings, continue_second_order
-from cellwright.solvers.layout_solution import LayoutSolution
-from cellwright.solvers.layout_staged import StagedSettings, solve_staged, staged_outcome
-from cellwright.solvers.layout_start import sample_design
-from cellwright.solvers.layout_symbols import LayoutSymbols
+from cellwright.solvers.layout.direct import DirectSettings, solve_direct
+from cellwright.solvers.layout.problem import LayoutProblem
+from cellwright.solvers.layout.rounds import Stage
+from cellwright.solvers.layout.second_order import SecondOrderSettings, continue_second_order
+from cellwright.solvers.layout.solution import LayoutSolution
+from cellwright.solvers.layout.staged import StagedSettings, solve_staged, staged_outcome
+from cellwright.solvers.layout.start import sample_design
+from cellwright.solvers.layout.symbols import LayoutSymbols
 
 Run = tuple[float, LayoutSolution]
 

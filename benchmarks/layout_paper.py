@@ -2,7 +2,7 @@
 
 Figure 2: distance to the robot is no measure of cycle time. Figure 1: a proxy does not see a wall between two stations,
 the integrated solver turns it away. Table 1: which of three robots serves two machines through doors at different
-heights. The paper's problems are not published with dimensions; ours are those of `layout_examples`. Each row is the
+heights. The paper's problems are not published with dimensions; ours are those of `layout.examples`. Each row is the
 median over ``--runs`` seeds (default 5) of what passed its gate; "d" is the largest miss of a target, as the paper's
 tracking cost. With a folder the pictures are written there.
 """
@@ -19,13 +19,13 @@ from pathlib import Path
 import numpy as np
 
 from cellwright.figures.layout_charts import layout_view
-from cellwright.solvers.layout_examples import station_distance_problem, two_machine_problem, walled_station_problem
-from cellwright.solvers.layout_problem import LayoutProblem
-from cellwright.solvers.layout_proxies import Proxy, ProxySettings, solve_by_proxy, time_layout
-from cellwright.solvers.layout_solution import LayoutSolution
-from cellwright.solvers.layout_staged import StagedSettings, solve_staged
-from cellwright.solvers.layout_start import sample_design
-from cellwright.solvers.layout_symbols import LayoutSymbols
+from cellwright.solvers.layout.examples import station_distance_problem, two_machine_problem, walled_station_problem
+from cellwright.solvers.layout.problem import LayoutProblem
+from cellwright.solvers.layout.proxies import Proxy, ProxySettings, solve_by_proxy, time_layout
+from cellwright.solvers.layout.solution import LayoutSolution
+from cellwright.solvers.layout.staged import StagedSettings, solve_staged
+from cellwright.solvers.layout.start import sample_design
+from cellwright.solvers.layout.symbols import LayoutSymbols
 
 Solver = Callable[[np.random.Generator], LayoutSolution]
 PAPER = {"kr180_r2500_extra": (1.681, 1.693, 8e-2), "nj290": (1.584, 1.893, 6e-10), "scara": (2.65, 0.271, 1.04)}

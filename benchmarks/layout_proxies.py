@@ -21,14 +21,14 @@ from typing import Any
 import numpy as np
 
 from cellwright.figures.layout_charts import layout_view, time_scatter
-from cellwright.solvers.layout_examples import four_station_problem
-from cellwright.solvers.layout_iterative import IterativeSettings, solve_iteratively
-from cellwright.solvers.layout_problem import LayoutProblem, TargetKind
-from cellwright.solvers.layout_proxies import Proxy, ProxySettings, solve_by_proxy, time_layout
-from cellwright.solvers.layout_solution import LayoutSolution
-from cellwright.solvers.layout_staged import StagedSettings, solve_staged
-from cellwright.solvers.layout_start import sample_design
-from cellwright.solvers.layout_symbols import LayoutSymbols
+from cellwright.solvers.layout.examples import four_station_problem
+from cellwright.solvers.layout.iterative import IterativeSettings, solve_iteratively
+from cellwright.solvers.layout.problem import LayoutProblem, TargetKind
+from cellwright.solvers.layout.proxies import Proxy, ProxySettings, solve_by_proxy, time_layout
+from cellwright.solvers.layout.solution import LayoutSolution
+from cellwright.solvers.layout.staged import StagedSettings, solve_staged
+from cellwright.solvers.layout.start import sample_design
+from cellwright.solvers.layout.symbols import LayoutSymbols
 from cellwright.solvers.particle_swarm import SwarmSettings
 
 BAR = 0.30

@@ -21,9 +21,9 @@ from typing import Any
 
 import numpy as np
 
-from cellwright.solvers.gtsp_lazy import solve_lazily
-from cellwright.solvers.gtsp_problem import SequencingProblem
-from cellwright.solvers.gtsplib import read_gtsplib
+from cellwright.solvers.gtsp.gtsplib import read_gtsplib
+from cellwright.solvers.gtsp.lazy import solve_lazily
+from cellwright.solvers.gtsp.problem import SequencingProblem
 from cellwright.solvers.sequencing import compile_kernels, solve_sequence
 from tests.cellwright.solvers.sequencing_problems import plane_problem, robot_problem, uniform_problem
 

@@ -23,11 +23,11 @@ from cellwright.cell.spherized_urdf import spheres_among
 from cellwright.cell.urdf_geometry import collision_shape
 from cellwright.cell.urdf_tree import origin_of, parse_urdf
 from cellwright.figures.sphere_hull_picture import hull_picture, metrics_chart
-from cellwright.solvers.robot_spheres import fit_many, shared_numbers
-from cellwright.solvers.sphere_body import sphere_body
-from cellwright.solvers.sphere_certificate import prove_surface
-from cellwright.solvers.sphere_fitting import FitSettings, SphereFit, fit_to_body
-from cellwright.solvers.sphere_metrics import HullMetrics, hull_metrics
+from cellwright.solvers.spheres.body import sphere_body
+from cellwright.solvers.spheres.certificate import prove_surface
+from cellwright.solvers.spheres.fitting import FitSettings, SphereFit, fit_to_body
+from cellwright.solvers.spheres.metrics import HullMetrics, hull_metrics
+from cellwright.solvers.spheres.robots import fit_many, shared_numbers
 
 DATA = Path(__file__).parents[2] / "shared" / "data"
 ROBOTS = {

@@ -22,13 +22,13 @@ from cellwright.cell.motion_filter import FilteredScene
 from cellwright.cell.scene import Scene
 from cellwright.cell.transforms import pose
 from cellwright.cell.verification_scene import VerificationScene
-from cellwright.solvers.order_kernels import held_karp
 from cellwright.solvers.plan_verification import Tolerances, check_collisions
-from cellwright.solvers.planned_sweep import ExecutablePiece, PlannedSweep
 from cellwright.solvers.stitched_plan import StitchedPlan, StitchSettings
 from cellwright.solvers.stitching import stitch
-from cellwright.solvers.sweep_access import NamingChecker
-from cellwright.solvers.sweep_alternatives import flange_targets, trace_sweep
+from cellwright.solvers.sweeps.access import NamingChecker
+from cellwright.solvers.sweeps.alternatives import flange_targets, trace_sweep
+from cellwright.solvers.sweeps.order_kernels import held_karp
+from cellwright.solvers.sweeps.planned import ExecutablePiece, PlannedSweep
 from schemas.plan_objects import timed_plan, trajectory_of
 from tests.cellwright.solvers import scanning_cell
 

@@ -24,7 +24,7 @@ def main() -> int:
     from cellwright.cell.parametric_parts import box
     from cellwright.solvers import sequencing
     from cellwright.solvers.set_cover import cover_best
-    from cellwright.solvers.sphere_fitting import FitSettings, fit_spheres
+    from cellwright.solvers.spheres.fitting import FitSettings, fit_spheres
     from flows import inspection
     from flows.examples import find_cell_file
 

@@ -10,7 +10,7 @@ import numpy as np
 from cellwright.arrays import BoolArray, FloatArray
 from cellwright.cell.transforms import pose, rotation_from_quaternion
 from cellwright.errors import InvalidInputError
-from cellwright.solvers.planned_sweep import ExecutablePiece, PlannedSweep
+from cellwright.solvers.sweeps.planned import ExecutablePiece, PlannedSweep
 from schemas.motion import Trajectory
 from schemas.views import Measurability, Reachability, Viewpoints, ViewSelection
 

@@ -13,8 +13,8 @@ from schemas.part import SurfaceSamples
 from schemas.views import Measurability, Reachability, Viewpoints
 
 if TYPE_CHECKING:
-    from cellwright.solvers.sweep_following import FollowedSweeps
-    from cellwright.solvers.sweep_poses import CandidateSweeps
+    from cellwright.solvers.sweeps.following import FollowedSweeps
+    from cellwright.solvers.sweeps.poses import CandidateSweeps
 
 
 def entry_travel(
@@ -63,7 +63,7 @@ def sweeps_to_follow(viewpoints: Viewpoints, measurability: Measurability, T_wor
     Raises:
         InvalidInputError: If the two artefacts do not belong together.
     """
-    from cellwright.solvers.sweep_poses import CandidateSweeps, sort_within
+    from cellwright.solvers.sweeps.poses import CandidateSweeps, sort_within
 
     check_belong(viewpoints, measurability)
     R = rotation_from_quaternion(viewpoints.quaternion)

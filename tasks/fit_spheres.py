@@ -1,6 +1,6 @@
 """Cover the bodies of a cell, the workpiece, or both with few spheres, for solvers that need smooth distances.
 
-The default method proves that nothing of a body sticks out of its hull (`cellwright.solvers.sphere_fitting`). Pairs of
+The default method proves that nothing of a body sticks out of its hull (`cellwright.solvers.spheres.fitting`). Pairs of
 hulls that need no check against each other are found for the hulls, which are larger than the bodies. A body without
 spheres in ``n_spheres_of`` gets ``n_spheres``; a body with 0 gets no hull.
 """
@@ -23,7 +23,7 @@ from schemas.stage import Progress, no_progress, stage
 if TYPE_CHECKING:
     from cellwright.arrays import FloatArray
     from cellwright.cell.bodies import Mesh
-    from cellwright.solvers.sphere_fitting import SphereFit
+    from cellwright.solvers.spheres.fitting import SphereFit
 
 _FITTING = 0.95
 """Share of the progress that fitting stands for; the rest is sorting pairs."""
@@ -115,8 +115,8 @@ def _trials(
     name: str, mesh: Mesh, n_spheres: int, generator: np.random.Generator, params: SphereParams
 ) -> list[SphereFit]:
     """Return the hull that is kept, then those of the other numbers."""
-    from cellwright.solvers.sphere_body import sphere_body
-    from cellwright.solvers.sphere_fitting import FitSettings, fit_spheres, fit_to_body
+    from cellwright.solvers.spheres.body import sphere_body
+    from cellwright.solvers.spheres.fitting import FitSettings, fit_spheres, fit_to_body
 
     settings = FitSettings(params.method, params.n_starts, inflate=params.inflate)
     kept, *others = generator.spawn(1 + len(params.trials))

@@ -51,8 +51,8 @@ def follow_sweeps(
     """
     from cellwright.cell.scene import Scene
     from cellwright.errors import InvalidInputError
-    from cellwright.solvers.sweep_following import follow_sweeps as follow
-    from cellwright.solvers.sweep_poses import FollowSettings
+    from cellwright.solvers.sweeps.following import follow_sweeps as follow
+    from cellwright.solvers.sweeps.poses import FollowSettings
     from schemas.cell_objects import build_cell
     from schemas.reach_objects import reachability_of, sweeps_to_follow
 

@@ -32,7 +32,7 @@ def trim_measurability(
     import numpy as np
 
     from cellwright.errors import InvalidInputError
-    from cellwright.solvers.sweep_trimming import trim_entries
+    from cellwright.solvers.sweeps.trimming import trim_entries
     from schemas.reach_objects import check_belong, entry_travel
     from schemas.sweep_objects import best_pieces
 

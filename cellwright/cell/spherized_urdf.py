@@ -1,7 +1,7 @@
 """A URDF whose collision geometry is spheres, and an SRDF with the pairs of links that need no check.
 
 Everything but the ``<collision>`` elements stays as it was. Numbers are written so that reading them gives the same
-floats. `cellwright.solvers.robot_spheres` fits the spheres.
+floats. `cellwright.solvers.spheres.robots` fits the spheres.
 """
 
 from __future__ import annotations

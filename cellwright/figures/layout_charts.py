@@ -11,8 +11,8 @@ from cellwright.figures.coverage_map import plain_text, png_bytes
 
 if TYPE_CHECKING:
     from cellwright.arrays import FloatArray
-    from cellwright.solvers.layout_problem import LayoutProblem
-    from cellwright.solvers.layout_solution import LayoutSolution
+    from cellwright.solvers.layout.problem import LayoutProblem
+    from cellwright.solvers.layout.solution import LayoutSolution
 
 _COLOURS = ("#3f6fd6", "#d1495b", "#2a9d5c", "#e07a1f", "#7b5ea7", "#3fa7d6", "#8d6a3f", "#c9a227")
 _TARGET = "#f4c430"

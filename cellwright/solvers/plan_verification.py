@@ -22,7 +22,7 @@ from cellwright.errors import InfeasibleError, InvalidInputError, listed
 from cellwright.solvers.clearance_proof import CONTACT, Clearance, PairChecker, prove_clearance
 from cellwright.solvers.hermite import peak_acceleration, peak_velocity, position_extremes, states_at
 from cellwright.solvers.motion_steps import MovingCorners, dense_times, link_poses_of
-from cellwright.solvers.planned_sweep import PlannedSweep
+from cellwright.solvers.sweeps.planned import PlannedSweep
 
 SAME_TIME = 1e-9
 """Seconds within which two times are one."""

@@ -1,7 +1,7 @@
 """Find the cheapest sequence of tasks and their alternatives: the generalised travelling-salesman problem.
 
 `solve_sequence` is the entrance: search for a good sequence, then prove it cheapest if it is small enough, else bound
-it. `cellwright.solvers.gtsp_lazy.solve_lazily` does the same where costs are dear to evaluate. Neither reads a clock:
+it. `cellwright.solvers.gtsp.lazy.solve_lazily` does the same where costs are dear to evaluate. Neither reads a clock:
 work is limited by numbers, the same on every machine; ``stop`` may end it earlier, and then too the best sequence and
 its gap come back.
 """
@@ -15,10 +15,10 @@ import numpy as np
 
 from cellwright.arrays import Int32Array
 from cellwright.errors import InvalidInputError
-from cellwright.solvers.gtsp_exact import prove
-from cellwright.solvers.gtsp_form import TourForm, only_cluster, result_of, tour_form
-from cellwright.solvers.gtsp_problem import SequencingProblem, SequencingResult, Stop
-from cellwright.solvers.gtsp_search import TourSearch
+from cellwright.solvers.gtsp.exact import prove
+from cellwright.solvers.gtsp.form import TourForm, only_cluster, result_of, tour_form
+from cellwright.solvers.gtsp.problem import SequencingProblem, SequencingResult, Stop
+from cellwright.solvers.gtsp.search import TourSearch
 
 __all__ = ["Method", "SequencingProblem", "SequencingResult", "Stop", "compile_kernels", "solve_sequence", "tour_of"]
 

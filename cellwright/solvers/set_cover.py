@@ -16,14 +16,14 @@ import numpy as np
 
 from cellwright.arrays import FloatArray
 from cellwright.errors import InvalidInputError
-from cellwright.solvers.set_cover_bounds import LowerBound, lower_bound
-from cellwright.solvers.set_cover_exact import cover_exactly, found_cover
-from cellwright.solvers.set_cover_exchange import exchange_columns, smallest_uncertainty
-from cellwright.solvers.set_cover_greedy import checked_ties, cover_greedily, rows_needed
-from cellwright.solvers.set_cover_matrix import TOLERANCE, Cover, CoverMatrix, cover_matrix
-from cellwright.solvers.set_cover_reductions import ReducedCover, reduce_cover
-from cellwright.solvers.set_cover_start import scaled_matrix, start_cover
-from cellwright.solvers.set_cover_tree import search_tree
+from cellwright.solvers.covering.bounds import LowerBound, lower_bound
+from cellwright.solvers.covering.exact import cover_exactly, found_cover
+from cellwright.solvers.covering.exchange import exchange_columns, smallest_uncertainty
+from cellwright.solvers.covering.greedy import checked_ties, cover_greedily, rows_needed
+from cellwright.solvers.covering.matrix import TOLERANCE, Cover, CoverMatrix, cover_matrix
+from cellwright.solvers.covering.reductions import ReducedCover, reduce_cover
+from cellwright.solvers.covering.start import scaled_matrix, start_cover
+from cellwright.solvers.covering.tree import search_tree
 
 __all__ = [
     "Cover",

@@ -1,4 +1,4 @@
-"""Collision tests of single states of an arm: kernels of `cellwright.solvers.sweep_states`.
+"""Collision tests of single states of an arm: kernels of `cellwright.solvers.sweeps.states`.
 
 What the last link carries stands at each pose of a sweep wherever the arm is, so it is tested once a pose. Pairs of
 bodies are tested again only when they may have come close since the last test, and the pair and ball that blocked the

@@ -18,11 +18,10 @@ from cellwright.cell.cell import Cell
 from cellwright.errors import SolverError
 from cellwright.solvers.connections import first_collision
 from cellwright.solvers.path_timing import least_time
-from cellwright.solvers.planned_sweep import PlannedSweep
 from cellwright.solvers.stitched_plan import LeftOut, StitchedPlan, StitchedSegment, StitchSettings
-from cellwright.solvers.sweep_access import NamingChecker, SweepAccess
-from cellwright.solvers.sweep_alternatives import PathKey, SweepOption
-from cellwright.solvers.sweep_order import (
+from cellwright.solvers.sweeps.access import NamingChecker, SweepAccess
+from cellwright.solvers.sweeps.alternatives import PathKey, SweepOption
+from cellwright.solvers.sweeps.order import (
     SAME,
     ConnectionCosts,
     SweepOptions,
@@ -30,6 +29,7 @@ from cellwright.solvers.sweep_order import (
     order_best,
     order_greedily,
 )
+from cellwright.solvers.sweeps.planned import PlannedSweep
 
 Progress = Callable[[float], None]
 

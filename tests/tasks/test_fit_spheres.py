@@ -13,7 +13,7 @@ from cellwright.cell.parametric_parts import plate_with_pocket
 from cellwright.cell.surface_sampling import sample_randomly
 from cellwright.cell.transforms import pose
 from cellwright.errors import InfeasibleError, InvalidInputError
-from cellwright.solvers.sphere_metrics import union_gaps
+from cellwright.solvers.spheres.metrics import union_gaps
 from schemas.artefact import digest
 from schemas.sources import CellModel
 from schemas.sphere_hull import SphereHull
@@ -95,7 +95,7 @@ def test_numbers_may_differ_by_body_and_none_leaves_it_out() -> None:
 def test_a_tolerance_replaces_the_number(monkeypatch: pytest.MonkeyPatch) -> None:
     found: SphereHull = fit_spheres(None, PART, params=SphereParams(tolerance_m=0.02, n_starts=1))
     assert found.overshoot_max_m.max() <= 0.02
-    monkeypatch.setattr("cellwright.solvers.sphere_fitting.MOST_SPHERES", 16)
+    monkeypatch.setattr("cellwright.solvers.spheres.fitting.MOST_SPHERES", 16)
     with pytest.raises(InfeasibleError, match="body 'part': 16 spheres stick out") as caught:
         fit_spheres(None, PART, params=SphereParams(tolerance_m=1e-4, n_starts=1, method="k-means"))
     assert "_" not in str(caught.value)

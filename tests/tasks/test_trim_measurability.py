@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from cellwright.causes import Cause
 from cellwright.errors import InvalidInputError
-from cellwright.solvers.sweep_trimming import trim_entries
+from cellwright.solvers.sweeps.trimming import trim_entries
 from schemas.views import Measurability, Reachability
 from tasks.trim_measurability import TrimParams, trim_measurability
 from tests.tasks.goldens import check_golden, rounded

@@ -13,7 +13,7 @@ from cellwright.cell.sphere_filter import greatest_shift, sphere_filter
 from cellwright.cell.transforms import pose
 from cellwright.cell.urdf_geometry import collision_bodies, meshes_in
 from cellwright.solvers.state_tests import CLEAR, COLLIDING, UNDECIDED
-from cellwright.solvers.sweep_states import classify_sweep
+from cellwright.solvers.sweeps.states import classify_sweep
 from tests.cellwright.cell.cells import at, bumpy_part, cell_of, scanning_cell
 from tests.cellwright.cell.robots import published_crx
 

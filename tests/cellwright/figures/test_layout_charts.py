@@ -10,11 +10,11 @@ from PIL import Image
 
 from cellwright.arrays import AnyArray
 from cellwright.figures.layout_charts import layout_view, time_scatter
-from cellwright.solvers.layout_examples import station_distance_problem
-from cellwright.solvers.layout_problem import LayoutProblem
-from cellwright.solvers.layout_proxies import time_layout
-from cellwright.solvers.layout_solution import LayoutSolution
-from cellwright.solvers.layout_staged import StagedSettings
+from cellwright.solvers.layout.examples import station_distance_problem
+from cellwright.solvers.layout.problem import LayoutProblem
+from cellwright.solvers.layout.proxies import time_layout
+from cellwright.solvers.layout.solution import LayoutSolution
+from cellwright.solvers.layout.staged import StagedSettings
 
 
 def pixels(png: bytes) -> AnyArray:

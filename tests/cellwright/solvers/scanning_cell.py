@@ -14,11 +14,11 @@ from cellwright.cell.inverse_kinematics import inverse_kinematics_for
 from cellwright.cell.parametric_parts import revolve
 from cellwright.cell.scene import Scene
 from cellwright.cell.transforms import pose
-from cellwright.solvers.planned_sweep import ExecutablePiece, PlannedSweep
 from cellwright.solvers.roadmap import RoadmapSize
 from cellwright.solvers.stitched_plan import StitchedPlan, StitchSettings
 from cellwright.solvers.stitching import stitch
-from cellwright.solvers.sweep_alternatives import flange_targets, trace_sweep
+from cellwright.solvers.sweeps.alternatives import flange_targets, trace_sweep
+from cellwright.solvers.sweeps.planned import ExecutablePiece, PlannedSweep
 from schemas.motion import Trajectory
 from schemas.plan_objects import trajectory_of
 from schemas.views import ViewSelection

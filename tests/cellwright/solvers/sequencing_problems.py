@@ -6,7 +6,7 @@ import itertools
 
 import numpy as np
 
-from cellwright.solvers.gtsp_problem import SequencingProblem
+from cellwright.solvers.gtsp.problem import SequencingProblem
 
 PAPER_ALTERNATIVES = (6, 8, 16, 22, 27, 18, 10, 16, 20, 30, 16, 36, 16, 13, 16, 9, 9, 7, 6, 6)
 """Alternatives of the twenty studs, Bjorkenstam 2014, table 1."""

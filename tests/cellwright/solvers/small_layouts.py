@@ -7,7 +7,7 @@ import numpy as np
 from cellwright.cell.harness import DesignJoint, Harness, X, Z, fixed
 from cellwright.cell.serial_arm import SerialArm
 from cellwright.cell.transforms import pose
-from cellwright.solvers.layout_problem import (
+from cellwright.solvers.layout.problem import (
     Approach,
     LayoutProblem,
     RobotSpheres,

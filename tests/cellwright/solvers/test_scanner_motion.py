@@ -12,13 +12,13 @@ from cellwright.cell.built_in_robots import built_in_robot
 from cellwright.cell.cell import Cell
 from cellwright.cell.chain_kinematics import track_pose
 from cellwright.cell.transforms import pose, rotation_from_rpy
-from cellwright.solvers import sweep_alternatives
 from cellwright.solvers.hermite import shares_of_limits
 from cellwright.solvers.path_timing import Limits, TimedMotion
 from cellwright.solvers.plan_verification import Check, ExecutedSegment, TimedPlan, Tolerances, check_sweeps
-from cellwright.solvers.planned_sweep import ExecutablePiece, PlannedSweep
 from cellwright.solvers.scanner_motion import scanner_acceleration, steps_that_bend
-from cellwright.solvers.sweep_alternatives import SweepSettings, flange_targets, sweep_options, trace_sweep
+from cellwright.solvers.sweeps import alternatives as sweep_alternatives
+from cellwright.solvers.sweeps.alternatives import SweepSettings, flange_targets, sweep_options, trace_sweep
+from cellwright.solvers.sweeps.planned import ExecutablePiece, PlannedSweep
 
 SPEED, ACCELERATION, SAMPLE, STEP, HALF_TRAVEL = 0.1, 1.0, 0.008, 0.002, 0.04
 COARSE = Tolerances(step=0.01, step_angle=0.02)

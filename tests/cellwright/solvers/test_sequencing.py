@@ -9,13 +9,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cellwright.errors import InfeasibleError, InvalidInputError
-from cellwright.solvers.gtsp_bounds import bounding, raise_bound, remember_nearest, shrink
-from cellwright.solvers.gtsp_exact import prove
-from cellwright.solvers.gtsp_form import tour_form
-from cellwright.solvers.gtsp_kernels import cluster_nodes, improve_tour
-from cellwright.solvers.gtsp_problem import SequencingProblem
-from cellwright.solvers.gtsp_search import TourSearch
-from cellwright.solvers.gtsplib import read_gtsplib
+from cellwright.solvers.gtsp.bounds import bounding, raise_bound, remember_nearest, shrink
+from cellwright.solvers.gtsp.exact import prove
+from cellwright.solvers.gtsp.form import tour_form
+from cellwright.solvers.gtsp.gtsplib import read_gtsplib
+from cellwright.solvers.gtsp.kernels import cluster_nodes, improve_tour
+from cellwright.solvers.gtsp.problem import SequencingProblem
+from cellwright.solvers.gtsp.search import TourSearch
 from cellwright.solvers.sequencing import compile_kernels, solve_sequence
 from tests.cellwright.solvers.sequencing_problems import (
     brute_force,
@@ -164,7 +164,7 @@ def test_precedence_holds_in_larger_problems(kind):
     ids=["robot", "clusters in the plane", "anywhere in the plane", "no structure"],
 )
 def test_the_proof_agrees_with_plain_dynamic_programming(problem):
-    from cellwright.solvers.order_kernels import held_karp
+    from cellwright.solvers.sweeps.order_kernels import held_karp
 
     found = solve_sequence(problem, rng(), n_rounds=500)
     assert found.proven
@@ -230,12 +230,12 @@ def test_settings_out_of_range_are_refused(setting):
 
 
 def test_compiling_ahead_reaches_every_kernel():
-    from cellwright.solvers import gtsp_anneal, gtsp_kernels, gtsp_states, gtsp_walks
+    from cellwright.solvers.gtsp import anneal, kernels, states, walks
 
     compile_kernels()
-    entries = [gtsp_anneal.anneal, gtsp_anneal.nearest_nodes, gtsp_kernels.improve_tour, gtsp_states.next_layer]
+    entries = [anneal.anneal, anneal.nearest_nodes, kernels.improve_tour, states.next_layer]
     entries += [
-        getattr(gtsp_walks, name)
+        getattr(walks, name)
         for name in ("memory_steps", "complete_walks", "cheapest_walk", "least_within", "through_nodes", "drop_ways")
     ]
     assert all(len(kernel.signatures) == 1 for kernel in entries)

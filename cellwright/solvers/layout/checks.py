@@ -1,0 +1,193 @@
+"""Lazy collision constraints: measure a point densely as numbers, and name the checks that its program lacks.
+
+Of thousands of possible checks (samples x robot spheres x hull spheres) a solution touches a few dozen. A program
+is solved with those known so far, its solution is measured at every sample, and what it violates is added, until
+nothing is violated. The programs stay small and the outcome is that of the program with all checks.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from cellwright.arrays import AnyArray, FloatArray, IntArray
+from cellwright.solvers.layout.geometry import LayoutGeometry
+from cellwright.solvers.layout.mesh import BASE, HULL, SELF, STATIONS, WALL, WALLS, Checks, Mesh
+from cellwright.solvers.layout.nlp import LayoutPoint
+
+SAMPLES = 96
+"""Samples of a transition, at least."""
+TOLERATED_M = 1e-6
+"""Penetration that is not worth a check."""
+_WINDOW_M = 0.003
+"""Around a violation also the samples with so little gap are checked, so that the path does not slip by between."""
+MOST_A_PAIR = 6
+"""Checks added a round for one robot sphere against one station, wall or other robot sphere in one transition."""
+_MOST_LAYOUT = 6
+"""Layout checks added a round for one pair of bodies."""
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """Configurations of a cycle between its rows.
+
+    Attributes:
+        before, after: Rows they lie between, (n,).
+        share: Where between them, (n,).
+        transition: Number of the transition, -1 along an approach, (n,).
+        own: Station whose hull is left out: that of the approach, -1 along transitions, (n,).
+        q: (n, joints).
+    """
+
+    before: IntArray
+    after: IntArray
+    share: FloatArray
+    transition: IntArray
+    own: IntArray
+    q: FloatArray
+
+
+def samples_of(
+    geometry: LayoutGeometry, mesh: Mesh, point: LayoutPoint, *, transitions: bool = True, n_samples: int = SAMPLES
+) -> Samples:
+    """Return the samples of a point: rows and places between them, and the knots of approaches.
+
+    Without ``transitions`` only their ends are sampled.
+    """
+    problem = geometry.problem
+    columns: list[list[AnyArray]] = [[], [], [], [], []]
+    per_segment = max(1, -(-n_samples // mesh.n_segments))
+    for number, rows in enumerate(mesh.transition_rows):
+        if transitions:
+            segment = np.repeat(np.arange(len(rows) - 1), per_segment)
+            share = np.tile(np.arange(per_segment) / per_segment, len(rows) - 1)
+            # the end belongs to the last segment
+            segment, share = np.append(segment, len(rows) - 2), np.append(share, 1.0)
+        else:
+            segment, share = np.array([0, len(rows) - 2]), np.array([0.0, 1.0])
+        n = len(segment)
+        for column, values in zip(
+            columns, (rows[segment], rows[segment + 1], share, np.full(n, number), np.full(n, -1))
+        ):
+            column.append(values)
+    for visit, rows in enumerate(mesh.visit_rows):
+        if len(rows) > 1:
+            n = len(rows)
+            own = problem.visits[visit].station
+            for column, values in zip(columns, (rows, rows, np.zeros(n), np.full(n, -1), np.full(n, own))):
+                column.append(values)
+    before, after, transition, own_station = (np.concatenate(columns[i]).astype(np.int64) for i in (0, 1, 3, 4))
+    share = np.concatenate(columns[2]).astype(float)
+    q = (1.0 - share)[:, None] * point.q[before] + share[:, None] * point.q[after]
+    if point.velocity.size:
+        moving = transition >= 0
+        which = np.array([rows[0] for rows in mesh.segment_time])[transition]
+        part = np.array([shares[0] for shares in mesh.segment_share])[transition]
+        h = np.where(moving, point.times[which] * part, 0.0)
+        bend = 0.5 * h * share * (1.0 - share)
+        speed = problem.arm.max_velocity
+        q = q + bend[:, None] * speed * (point.velocity[before] - point.velocity[after])
+    return Samples(before, after, share, transition, own_station, q)
+
+
+def missing_checks(
+    geometry: LayoutGeometry,
+    point: LayoutPoint,
+    samples: Samples,
+    *,
+    tolerated_m: float = TOLERATED_M,
+    motion_only: bool = False,
+    most_a_pair: int = MOST_A_PAIR,
+) -> tuple[Checks, float]:
+    """Return the checks that a point violates, and the deepest penetration in m (0 if none).
+
+    With a negative ``tolerated_m`` also those that it comes so near to; ``most_a_pair`` bounds the checks of one robot
+    sphere against one body in one transition.
+    """
+    motion, share, deepest = _missing_motion(geometry, point, samples, tolerated_m, most_a_pair)
+    if motion_only:
+        return Checks(motion, share), deepest
+    layout, deepest_layout = _missing_layout(geometry, point.design, tolerated_m)
+    return Checks(motion, share, layout), max(deepest, deepest_layout)
+
+
+def all_layout_checks(geometry: LayoutGeometry) -> Checks:
+    """Return every layout check: cheap, since no configuration enters."""
+    families = (geometry.layout_pairs, geometry.base_pairs, geometry.wall_pairs)
+    rows = [np.column_stack([np.full(len(each), family), np.arange(len(each))]) for family, each in enumerate(families)]
+    return Checks(layout=np.concatenate(rows).astype(np.int64))
+
+
+def _missing_motion(
+    geometry: LayoutGeometry, point: LayoutPoint, samples: Samples, tolerated_m: float, most_a_pair: int
+) -> tuple[IntArray, FloatArray, float]:
+    problem = geometry.problem
+    if not len(problem.robot_spheres):
+        return np.zeros((0, 6), np.int64), np.zeros(0), 0.0
+    robot = geometry.robot_world(problem.base_pose(point.design), samples.q)
+    moving = geometry.moving_spheres
+    pairs = problem.robot_spheres.self_pairs
+    rows: list[IntArray] = []
+    deepest = 0.0
+    families: list[tuple[int, FloatArray, IntArray, IntArray]] = []
+    if len(geometry.hull_radii) and len(moving):
+        gaps = geometry.hull_gaps(robot, geometry.hull_world(point.design))
+        gaps[(samples.own[:, None] == geometry.hull_station)[:, None, :].repeat(len(moving), axis=1)] = np.inf
+        for station in np.unique(geometry.hull_station).tolist():
+            # of neighbouring spheres of one hull the nearest at each sample stands for all
+            own = np.flatnonzero(geometry.hull_station == station)
+            nearest = np.argmin(gaps[:, :, own], axis=2)
+            families.append((HULL, gaps[:, :, own].min(axis=2), moving, own[nearest]))
+    if len(problem.walls) and len(moving):
+        walls = geometry.wall_gaps(robot)
+        families += [
+            (WALL, walls[:, :, wall], moving, np.full(walls.shape[:2], wall)) for wall in range(len(problem.walls))
+        ]
+    if len(pairs):
+        families.append((SELF, geometry.self_gaps(robot), pairs[:, 0], np.tile(pairs[:, 1], (len(robot), 1))))
+    numbers = [(number, np.flatnonzero(samples.transition == number)) for number in np.unique(samples.transition)]
+    for kind, gaps, one, other in families:
+        deepest = max(deepest, -float(gaps.min()))
+        for _, own in numbers:
+            for column in np.flatnonzero(gaps[own].min(axis=0) < -tolerated_m).tolist():
+                near = own[_spread(gaps[own, column], max(_WINDOW_M, -tolerated_m), most_a_pair)]
+                head = np.column_stack([np.full(len(near), kind), np.full(len(near), one[column]), other[near, column]])
+                rows.append(np.column_stack([near, head]))
+    if not rows:
+        return np.zeros((0, 6), np.int64), np.zeros(0), max(deepest, 0.0)
+    found = np.concatenate(rows)
+    sample = found[:, 0]
+    motion = np.column_stack([samples.before[sample], samples.after[sample], samples.transition[sample], found[:, 1:]])
+    return motion.astype(np.int64), samples.share[sample], deepest
+
+
+def _spread(profile: FloatArray, window_m: float, most: int) -> IntArray:
+    """Return the samples to check of one pair's gaps along a transition: the deepest, and some around it."""
+    near = np.flatnonzero(profile < window_m)
+    if len(near) > most:
+        near = near[np.round(np.linspace(0, len(near) - 1, most)).astype(int)]
+    return np.unique(np.append(near, np.argmin(profile)))
+
+
+def _missing_layout(geometry: LayoutGeometry, design: FloatArray, tolerated_m: float) -> tuple[IntArray, float]:
+    names = np.array([-1, *range(len(geometry.problem.stations))])
+    owner = geometry.hull_station
+    rows: list[IntArray] = []
+    deepest = 0.0
+    bodies = (
+        owner[geometry.layout_pairs],
+        np.column_stack([np.full(len(geometry.base_pairs), names[0]), owner[geometry.base_pairs[:, 1]]]),
+        np.column_stack([geometry.wall_pairs[:, 0], owner[geometry.wall_pairs[:, 1]]]),
+    )
+    for family, body, gaps in zip((STATIONS, BASE, WALLS), bodies, geometry.layout_gaps(design)):
+        if not len(gaps):
+            continue
+        deepest = max(deepest, -float(gaps.min()))
+        touching = np.flatnonzero(gaps < -tolerated_m)
+        for pair in np.unique(body[touching], axis=0):
+            inside = touching[(body[touching] == pair).all(axis=1)]
+            chosen = inside[np.argsort(gaps[inside], kind="stable")[:_MOST_LAYOUT]]
+            rows.append(np.column_stack([np.full(len(chosen), family), chosen]))
+    layout = np.concatenate(rows).astype(np.int64) if rows else np.zeros((0, 2), np.int64)
+    return layout, max(deepest, 0.0)

@@ -1,0 +1,185 @@
+"""Rounds of nonlinear programs on one mesh: lazy checks until nothing touches, and refinement of what is clear already.
+
+`solve_lazily` starts with few checks and adds what its solution violates. `refine` starts from a clear motion and
+keeps it clear: each round may move configurations and design joints a little only, a round that touches something is
+taken back and made smaller, so that the motion never jumps through an obstacle to find out on its other side.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+
+from cellwright.arrays import FloatArray
+from cellwright.solvers.layout.checks import MOST_A_PAIR, missing_checks, samples_of
+from cellwright.solvers.layout.costs import extra_costs
+from cellwright.solvers.layout.mesh import Checks, Mesh
+from cellwright.solvers.layout.nlp import LayoutPoint, NLPResult, build_layout_nlp, cost_rows, run_layout_nlp
+from cellwright.solvers.layout.problem import LayoutProblem
+from cellwright.solvers.layout.solution import Phase
+from cellwright.solvers.layout.symbols import LayoutSymbols
+
+CLEAR_M = 2e-4
+"""Penetration at a sample below which lazy checking stops; less than the margin that checks keep."""
+NEAR_M = 0.02
+"""Where a clear motion is so close to something, its refinement knows of it from the beginning."""
+_TRUST = 0.25
+"""Largest change of a configuration or design joint in the first round of a refinement, rad or m."""
+_LEAST_TRUST = 0.02
+_LEAST_GAIN = 1e-3
+"""Share of the cost that a round has to gain for another one."""
+
+
+class RoundLimits(Protocol):
+    """What bounds the work of a stage."""
+
+    @property
+    def most_rounds(self) -> int:
+        """Programs a stage."""
+
+    @property
+    def most_iterations(self) -> int:
+        """Ipopt iterations a program."""
+
+
+@dataclass(frozen=True, eq=False)
+class Stage:
+    """The outcome of lazy rounds on one mesh: the last result, its checks, and how clear it is."""
+
+    mesh: Mesh
+    result: NLPResult
+    checks: Checks
+    deepest_m: float
+    phases: tuple[Phase, ...]
+
+    @property
+    def clear(self) -> bool:
+        """Whether the program was solved and no sample touches anything."""
+        return self.deepest_m <= CLEAR_M and self.result.violation < 1e-6
+
+    @property
+    def time_s(self) -> float:
+        """Time of all transitions."""
+        return float(self.result.point.times.sum())
+
+    @property
+    def cost(self) -> float:
+        """What the program minimised, less the price of slack."""
+        return self.result.objective
+
+
+def solve_lazily(
+    symbols: LayoutSymbols,
+    mesh: Mesh,
+    start: LayoutPoint,
+    checks: Checks,
+    limits: RoundLimits,
+    *,
+    name: str,
+    transitions: bool = True,
+    order: int = 1,
+    warm: bool = False,
+    most_rounds: int | None = None,
+    pinned: FloatArray | None = None,
+) -> Stage:
+    """Solve a program again and again, adding the checks its solution violates, until it violates none.
+
+    With ``pinned`` configurations (n_configs, joints; NaN is free) the design stays as it is too.
+    """
+    point = start
+    phases: list[Phase] = []
+    best: Stage | None = None
+    for number in range(most_rounds or limits.most_rounds):
+        held = None if pinned is None else start.design
+        nlp = build_layout_nlp(symbols, mesh, checks, order=order, pinned=pinned, pinned_design=held)
+        compiled = nlp.program.compiled(most_iterations=limits.most_iterations, warm=warm or number > 0)
+        result = run_layout_nlp(nlp, compiled, point)
+        sizes = (nlp.program.n_variables, nlp.program.n_constraints, checks.n_checks)
+        phases.append(Phase(name, result.status, result.iterations, *sizes))
+        samples = samples_of(symbols.geometry, mesh, result.point, transitions=transitions)
+        missing, deepest = missing_checks(symbols.geometry, result.point, samples, motion_only=pinned is not None)
+        stage = Stage(mesh, result, checks, deepest, tuple(phases))
+        if best is None or (result.violation > 1e-6, deepest) <= (best.result.violation > 1e-6, best.deepest_m):
+            best = stage
+        more = checks.joined(missing)
+        # paths are sought between station configurations, which therefore have to keep clear themselves
+        if (stage.clear and (transitions or not missing.n_checks)) or more.n_checks == checks.n_checks:
+            break
+        checks, point = more, result.point
+    if best is None:
+        raise ValueError("no round was allowed")
+    return replace(best, checks=checks, phases=tuple(phases))
+
+
+def clear_stage(symbols: LayoutSymbols, mesh: Mesh, point: LayoutPoint, checks: Checks) -> Stage:
+    """Return a stage for a point that no program made, measured at its samples."""
+    samples = samples_of(symbols.geometry, mesh, point)
+    _, deepest = missing_checks(symbols.geometry, point, samples, motion_only=not mesh.visit_rows)
+    cost = float(point.times.sum())
+    if mesh.visit_rows:
+        cost += extra_cost(symbols.problem, mesh, point.q)
+    return Stage(mesh, NLPResult(point, cost, "given", 0, 0.0, True), checks, deepest, ())
+
+
+def refine(
+    symbols: LayoutSymbols,
+    mesh: Mesh,
+    start: LayoutPoint,
+    checks: Checks,
+    limits: RoundLimits,
+    *,
+    name: str,
+    order: int = 1,
+    pinned: FloatArray | None = None,
+) -> Stage:
+    """Shorten a clear motion by rounds within a trust region; return the best clear stage, at worst the start.
+
+    Of the second order the start only has to keep clear; if no round meets all limits the stage is not clear.
+    """
+    geometry, motion_only = symbols.geometry, pinned is not None
+    best = clear_stage(symbols, mesh, start, checks)
+    if order == 2:
+        # a start with accelerations keeps clear of obstacles, not yet to its limits
+        best = replace(best, result=replace(best.result, violation=np.inf, objective=np.inf))
+    trust, phases = _TRUST, []
+    # on a fine mesh a path slips by between few checks
+    most_a_pair = max(MOST_A_PAIR, mesh.n_segments // 2)
+    known = checks
+    for _ in range(limits.most_rounds):
+        point = best.result.point
+        samples = samples_of(geometry, mesh, point)
+        near, _ = missing_checks(
+            geometry, point, samples, tolerated_m=-NEAR_M, motion_only=motion_only, most_a_pair=most_a_pair
+        )
+        current = known.joined(near)
+        held = None if pinned is None else start.design
+        nlp = build_layout_nlp(symbols, mesh, current, order=order, pinned=pinned, pinned_design=held)
+        compiled = nlp.program.compiled(most_iterations=limits.most_iterations, warm=True)
+        for part, centre in (("q", point.q.ravel()), ("design", point.design)):
+            rows = nlp.program.variables[part]
+            compiled.lower[rows] = np.maximum(compiled.lower[rows], centre - trust)
+            compiled.upper[rows] = np.minimum(compiled.upper[rows], centre + trust)
+        result = run_layout_nlp(nlp, compiled, point)
+        sizes = (nlp.program.n_variables, nlp.program.n_constraints, current.n_checks)
+        phases.append(Phase(name, result.status, result.iterations, *sizes))
+        samples = samples_of(geometry, mesh, result.point)
+        missing, deepest = missing_checks(geometry, result.point, samples, motion_only=motion_only)
+        stage = Stage(mesh, result, current, deepest, tuple(phases))
+        gain = best.cost - stage.cost
+        if stage.clear and (gain > 0.0 or not best.clear):
+            best = stage
+            if gain < _LEAST_GAIN * abs(stage.cost):
+                break
+            continue
+        known = known.joined(missing)
+        trust *= 0.4 if best.clear else 1.0
+        if trust < _LEAST_TRUST or (stage.clear and best.clear):
+            break
+    return replace(best, phases=tuple(phases))
+
+
+def extra_cost(problem: LayoutProblem, mesh: Mesh, q: FloatArray) -> float:
+    """Return the extra cost L in s at configurations (n_configs, joints)."""
+    return float(extra_costs(problem.arm, q[cost_rows(problem, mesh)], problem.cost, problem.T_flange_tool).mean())

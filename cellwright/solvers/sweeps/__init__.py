@@ -1,0 +1,1 @@
+"""Scan sweeps: their poses, how they are followed, trimmed, ordered and kept as pieces."""

@@ -1,0 +1,80 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from cellwright.solvers.layout.geometry import LayoutGeometry
+from cellwright.solvers.layout.problem import RobotSpheres, Spheres, Wall
+from tests.cellwright.solvers.small_layouts import two_stations
+
+
+def crowded() -> LayoutGeometry:
+    problem = two_stations(obstacle=0.15)
+    rng = np.random.default_rng(0)
+    hull = Spheres(rng.normal(0, 0.1, (3, 3)), rng.uniform(0.05, 0.2, 3))
+    stations = tuple(replace(station, hull=hull) for station in problem.stations)
+    spheres = RobotSpheres(
+        np.array([0, 1, 2]), rng.normal(0, 0.2, (3, 3)), np.array([0.3, 0.1, 0.05]), np.array([[0, 2]])
+    )
+    walls = (Wall("north", np.array([0.0, -1.0, 0.0]), -0.9), Wall("floor", np.array([0, 0, 1.0]), -0.4, False))
+    return LayoutGeometry(replace(problem, stations=stations, robot_spheres=spheres, walls=walls, clearance_m=0.01))
+
+
+def apart(one: np.ndarray, other: np.ndarray) -> float:
+    return float(np.sqrt(((one - other) ** 2).sum()))
+
+
+@given(st.integers(0, 10_000))
+@settings(max_examples=20, deadline=None)
+def test_gaps_equal_those_measured_one_by_one(seed: int) -> None:
+    geometry = crowded()
+    problem = geometry.problem
+    rng = np.random.default_rng(seed)
+    design = rng.uniform(problem.lower, problem.upper)
+    q = rng.uniform(problem.arm.lower, problem.arm.upper)
+    poses, links = problem.station_poses(design), problem.arm.link_poses(q)
+    spheres = problem.robot_spheres
+    robot = [links[link] @ np.append(c, 1.0) for link, c in zip(spheres.link, spheres.centres)]
+    smallest = np.inf
+    station_penetration = 0.0
+    for s, station in enumerate(problem.stations):
+        for centre, radius in zip(station.hull.centres, station.hull.radii):
+            world = poses[s] @ np.append(centre, 1.0)
+            for body, link, own in zip(robot, spheres.link, spheres.radii):
+                gap = apart(body, world) - radius - own - 0.01
+                if link > 0:
+                    smallest = min(smallest, gap)
+                elif station.harness.n_joints:
+                    station_penetration += max(-gap, 0.0)
+            if station.harness.n_joints:
+                station_penetration += max(radius - (0.9 - world[1]), 0.0) + max(radius - (world[2] + 0.4), 0.0)
+            for t in range(s):
+                if not (station.harness.n_joints or problem.stations[t].harness.n_joints):
+                    continue
+                for centre2, radius2 in zip(problem.stations[t].hull.centres, problem.stations[t].hull.radii):
+                    gap = apart(world, poses[t] @ np.append(centre2, 1.0)) - radius - radius2 - 0.01
+                    station_penetration += max(-gap, 0.0)
+    for body, link, own in zip(robot, spheres.link, spheres.radii):
+        if link > 0:
+            smallest = min(smallest, 0.9 - body[1] - own)
+    smallest = min(smallest, apart(robot[0], robot[2]) - spheres.radii[0] - spheres.radii[2])
+    np.testing.assert_allclose(geometry.motion_gap(design, q[None])[0], smallest, atol=1e-12)
+    np.testing.assert_allclose(geometry.layout_violation(design), station_penetration, atol=1e-12)
+    np.testing.assert_allclose(geometry.layout_violation(np.tile(design, (2, 1)))[1], station_penetration, atol=1e-12)
+
+
+def test_an_approach_does_not_see_its_own_station() -> None:
+    geometry = LayoutGeometry(two_stations())
+    design = np.array([-1.0, 0.8, 1.0, 0.8])
+    inside = np.array([[-1.0, 0.8]])
+    assert geometry.motion_gap(design, inside)[0] < 0.0 < geometry.motion_gap(design, inside, 0)[0]
+
+
+def test_the_worst_gap_has_names() -> None:
+    geometry = LayoutGeometry(two_stations())
+    worst = geometry.worst_layout_gaps(np.array([0.0, 0.8, 0.1, 0.8]))[0]
+    assert {worst.first, worst.second} == {"station 1", "station 2"}
+    assert worst.gap_m < 0.0

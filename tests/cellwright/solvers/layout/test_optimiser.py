@@ -1,0 +1,215 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+
+from cellwright.cell.harness import DesignJoint as Joint
+from cellwright.cell.harness import Harness, X, fixed
+from cellwright.cell.transforms import pose
+from cellwright.errors import InfeasibleError, InvalidInputError
+from cellwright.solvers.layout.optimiser import solve_layout, solve_layout_from_starts, start_overlaps
+from cellwright.solvers.layout.problem import (
+    HOME,
+    Approach,
+    LayoutCost,
+    LayoutProblem,
+    Spheres,
+    Station,
+    TargetKind,
+    Visit,
+    Wall,
+)
+from cellwright.solvers.layout.solution import LayoutSolution
+from cellwright.solvers.layout.staged import StagedSettings
+from tests.cellwright.solvers.small_layouts import polar_arm, polar_spheres, ring_harness, two_stations
+
+START = np.array([-1.2, 0.8, 1.2, 0.8])
+
+
+@pytest.mark.parametrize("method", ["staged", "direct"])
+def test_stations_move_together_until_their_hulls_touch(method: str) -> None:
+    solution = solve_layout(two_stations(), method, start=START, rng=np.random.default_rng(0))
+    assert solution.converged, solution.report.blocking
+    assert solution.method == method
+    assert solution.report.layout_violation_m < 1e-4
+
+    # both joints share the way: the outer hull as far out as it may, the other nearer by T and turned by 1.5 T
+    def apart(T: float) -> float:
+        return float(np.hypot(1.0 - (1.0 - T) * np.cos(1.5 * T), (1.0 - T) * np.sin(1.5 * T)))
+
+    T = brentq(lambda T: apart(T) - 0.2, 0.01, 0.3)
+    assert solution.cycle_time_s > 2.0 * T - 2e-3
+    # the paper's form may stay where both are equally far out, a local minimum
+    assert solution.cycle_time_s < 2.0 * T * (1.02 if method == "staged" else 1.2)
+
+
+def test_equal_inputs_give_equal_solutions() -> None:
+    one, other = (
+        solve_layout(two_stations(obstacle=0.15), rng=np.random.default_rng(3), start=START) for _ in range(2)
+    )
+    np.testing.assert_array_equal(one.design, other.design)
+    for first, second in zip(one.transitions, other.transitions):
+        np.testing.assert_array_equal(first.q, second.q)
+        np.testing.assert_array_equal(first.times_s, second.times_s)
+
+
+def held_apart() -> LayoutProblem:
+    """Two stations that stand still on both sides of a post, so wide that the beam has to draw back."""
+    return two_stations(obstacle=0.43).with_design(np.array([-0.6, 1.0, 0.6, 1.0]))
+
+
+def test_the_beam_draws_back_from_a_post_and_every_sample_is_clear() -> None:
+    solution = solve_layout(held_apart(), rng=np.random.default_rng(0))
+    assert solution.converged, solution.report.blocking
+    # along the post's edge, swept by the tip: each piece as long as its slower joint, there and back
+    turn = np.linspace(np.arcsin(0.45 / 0.8), 0.0, 20_001)
+    edge = 0.8 * np.cos(turn) - np.sqrt(np.maximum(0.45**2 - (0.8 * np.sin(turn)) ** 2, 0.0))
+    half = np.maximum(-np.diff(turn) / 1.5, -np.diff(edge)).sum() + 0.8 - edge[0]
+    for transition in solution.transitions:
+        assert transition.at(np.linspace(0.0, transition.duration_s, 400))[:, 1].min() < 0.36
+        assert 2.0 * half - 5e-3 <= transition.duration_s <= 1.15 * 2.0 * half
+        assert len(transition.times_s) > 100
+    assert solution.report.path_violation_m < 5e-4
+
+
+def test_the_polish_keeps_a_clear_motion_clear() -> None:
+    settings = StagedSettings(polish=True)
+    polished = solve_layout(held_apart(), rng=np.random.default_rng(0), settings=settings)
+    plain = solve_layout(held_apart(), rng=np.random.default_rng(0))
+    assert polished.converged
+    assert polished.cycle_time_s <= plain.cycle_time_s + 1e-9
+    assert any(phase.name == "polish" for phase in polished.phases)
+
+
+def test_a_cycle_from_home_begins_and_ends_there() -> None:
+    problem = replace(two_stations(), visits=(HOME, Visit(0), Visit(1)), home_q=np.array([0.0, 0.3]))
+    solution = solve_layout(problem, start=START)
+    assert solution.converged, solution.report.blocking
+    np.testing.assert_allclose(solution.transitions[0].q[0], [0.0, 0.3])
+    np.testing.assert_allclose(solution.transitions[-1].q[-1], [0.0, 0.3])
+
+
+def test_the_robot_base_can_be_what_moves() -> None:
+    problem = two_stations().with_design(np.array([-0.5, 1.0, 0.5, 1.0]))
+    free = replace(problem, base=Harness((Joint("slide", False, X, -0.6, 0.1),)))
+    still, moved = solve_layout(problem), solve_layout(free)
+    assert still.converged
+    assert moved.converged
+    # farther back the same stations take less turning
+    assert moved.cycle_time_s < still.cycle_time_s - 0.05
+    assert moved.design[0] < -0.05
+
+
+def test_a_timed_approach_counts_in_the_cycle_and_is_followed() -> None:
+    line = pose(np.array([[-0.3, 0.0, 0.0], [-0.15, 0.0, 0.0]]), np.tile(np.eye(3), (2, 1, 1)))
+    there_and_back = np.concatenate([line, line[:1]])
+    slow = Approach.along(there_and_back, speed_m_s=0.3, target=TargetKind.POSITION)
+    problem = two_stations()
+    stations = tuple(replace(station, approaches=(slow,)) for station in problem.stations)
+    solution = solve_layout(replace(problem, stations=stations), start=START)
+    assert solution.converged, solution.report.blocking
+    assert solution.approach_s == pytest.approx(2.0)
+    assert solution.cycle_time_s == pytest.approx(solution.transition_s + 2.0)
+    assert solution.report.approach_m < 1e-6
+    assert solution.approach_q[0].shape == (3, 2)
+
+
+def test_an_approach_too_fast_for_a_joint_does_not_converge() -> None:
+    line = pose(np.array([[-0.3, 0.0, 0.0], [-0.15, 0.0, 0.0]]), np.tile(np.eye(3), (2, 1, 1)))
+    fast = Approach.along(line, speed_m_s=5.0, target=TargetKind.POSITION)
+    problem = two_stations()
+    stations = tuple(
+        replace(station, approaches=(fast,), harness=fixed(station.harness.poses(np.array([a, 0.9]))))
+        for station, a in zip(problem.stations, (-0.5, 0.5))
+    )
+    solution = solve_layout(replace(problem, stations=stations))
+    assert not solution.converged
+    assert solution.report.blocking
+
+
+def test_manipulability_is_maximised() -> None:
+    # of a polar arm it grows with the reach, so the stations move outwards though nothing else asks for it
+    alone = replace(two_stations(radius=0.01), cost=LayoutCost(manipulability=-50.0))
+    inner = solve_layout(alone, start=START)
+    outer = solve_layout(replace(alone, cost=LayoutCost(manipulability=50.0)), start=START)
+    assert inner.converged
+    assert outer.converged
+    assert outer.transitions[0].q[0, 1] > inner.transitions[0].q[0, 1] + 0.2
+
+
+def test_a_wall_holds_stations_and_beam() -> None:
+    problem = replace(two_stations(), walls=(Wall("wall", np.array([-1.0, 0.0, 0.0]), -0.8),))
+    solution = solve_layout(problem, start=START)
+    assert solution.converged, solution.report.blocking
+    hulls = problem.station_poses(solution.design)[:, 0, 3] + 0.1
+    assert hulls.max() <= 0.8 + 1e-4
+
+
+def test_a_station_out_of_reach_is_named_with_its_distance() -> None:
+    problem = two_stations()
+    far = replace(problem.stations[1], harness=fixed(pose(np.array([0.0, 2.0, 0.0]), np.eye(3))))
+    target = far.approaches[0].T_station_tool[0] @ np.eye(4)
+    assert target[0, 3] == -0.2
+    with pytest.raises(InfeasibleError, match=r"station 2 is out of reach: relax it by 0\.8"):
+        solve_layout_from_starts(replace(problem, stations=(problem.stations[0], far)), n_starts=1)
+
+
+def test_a_station_in_a_wall_is_named_with_its_depth() -> None:
+    problem = two_stations().with_design(np.array([-0.5, 1.0, 0.5, 1.0]))
+    depth = np.sin(0.5) + 0.1 - 0.5
+    walled = replace(problem, walls=(Wall("north wall", np.array([0.0, -1.0, 0.0]), -0.5, False),))
+    with pytest.raises(InfeasibleError, match="north wall and station 2 overlap") as caught:
+        solve_layout_from_starts(walled, n_starts=1)
+    assert f"{depth:.3g}" in str(caught.value)
+
+
+def test_stations_that_cannot_part_are_named() -> None:
+    problem = two_stations(radius=0.5, ranges=((0.0, 0.2), (0.1, 0.3)))
+    with pytest.raises(InfeasibleError, match="station 1 and station 2 overlap"):
+        solve_layout_from_starts(problem, n_starts=1)
+
+
+def test_a_start_that_does_not_fit_is_refused_and_overlaps_are_told() -> None:
+    problem = two_stations()
+    with pytest.raises(InvalidInputError, match=r"station 1.around by 0.5"):
+        solve_layout(problem, start=START + np.array([1.7, 0, 0, 0]))
+    with pytest.raises(InvalidInputError, match="4 finite design joints"):
+        solve_layout(problem, start=np.zeros(3))
+    with pytest.raises(InvalidInputError, match="choose one of"):
+        solve_layout(problem, "by hand")
+    with pytest.raises(InvalidInputError, match="StagedSettings"):
+        solve_layout(problem, "staged", settings=3)
+    with pytest.raises(InvalidInputError, match="at least one"):
+        solve_layout_from_starts(problem, n_starts=0)
+    assert start_overlaps(problem, START) == []
+    assert "overlap by 0.1" in start_overlaps(problem, np.array([-0.05, 1.0, 0.05, 1.0]))[0]
+
+
+def test_an_overlapping_start_is_pushed_apart() -> None:
+    solution = solve_layout(two_stations(), start=np.array([-0.05, 0.7, 0.05, 0.7]))
+    assert solution.converged, solution.report.blocking
+
+
+def test_the_best_of_several_starts_is_never_worse_than_the_first() -> None:
+    problem = two_stations(obstacle=0.15)
+    first = solve_layout_from_starts(problem, n_starts=1, start=START)
+    best = solve_layout_from_starts(problem, n_starts=2, start=START)
+    assert best.cycle_time_s <= first.cycle_time_s
+    assert isinstance(best, LayoutSolution)
+
+
+def test_beams_that_would_touch_the_column_keep_clear_of_it() -> None:
+    arm = polar_arm()
+    spheres = polar_spheres()
+    own = replace(spheres, self_pairs=np.array([[0, 1]]), radii=np.array([0.02, 0.4]))
+    target = Approach(pose(np.zeros((1, 3)), np.eye(3)[None]), TargetKind.POSITION)
+    stations = tuple(
+        Station(name, ring_harness(*span, 0.35, 0.6), Spheres(), (target,))
+        for name, span in (("a", (-1.0, -0.5)), ("b", (0.5, 1.0)))
+    )
+    solution = solve_layout(LayoutProblem(arm, stations, robot_spheres=own), start=np.array([-0.8, 0.4, 0.8, 0.4]))
+    assert solution.converged, solution.report.blocking
+    assert min(q[0, 1] for q in solution.approach_q) >= 0.42 - 1e-3
