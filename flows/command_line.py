@@ -7,13 +7,11 @@ message on standard error and an exit code by its class; an unexpected one keeps
 from __future__ import annotations
 
 import argparse
-import contextlib
-import os
 import sys
 import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn, Protocol
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from cellwright.errors import CellwrightError
 from flows.interrupts import FAREWELL, INTERRUPTED, leave_now_if_busy, stopping_at_interrupt
@@ -21,15 +19,13 @@ from flows.output import (
     prepare_streams,
     run_writing,
     stderr_console,
-    stdout_console,
     try_json,
     write_error,
     write_json,
 )
+from flows.subcommands import LAKE_HELP, Parser, add_run_options, add_set, lake_of, print_summary, run_flow
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from flows.findings import Findings
 
 _EPILOG = """\
@@ -47,16 +43,6 @@ exit codes:
   130  interrupted
   141  the reader of standard output went away, as `head` does
 """
-
-
-class Summary(Protocol):
-    """What a flow hands back to the command line."""
-
-    def as_json(self) -> Mapping[str, Any]:
-        """Return the result as plain values."""
-
-    def show(self, console: Console) -> None:
-        """Print the result for a person."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -92,9 +78,9 @@ def _run(options: argparse.Namespace, ended: threading.Event) -> int:
 
 def parser() -> argparse.ArgumentParser:
     """Return the parser of the whole command line."""
-    whole = _Parser("cellwright", "Plan robot cells: from a part file and a cell file to a verified scan.", _EPILOG)
+    whole = Parser("cellwright", "Plan robot cells: from a part file and a cell file to a verified scan.", _EPILOG)
     whole.add_argument("--version", action=_Version)
-    commands = whole.add_subparsers(title="commands", metavar="COMMAND", required=True, parser_class=_Parser)
+    commands = whole.add_subparsers(title="commands", metavar="COMMAND", required=True, parser_class=Parser)
     _add_inspect(commands)
     _add_validate(commands)
     _add_sweep(commands)
@@ -104,26 +90,6 @@ def parser() -> argparse.ArgumentParser:
     examples.add_argument("--json", action="store_true", help="print JSON")
     examples.set_defaults(run=_examples)
     return whole
-
-
-def default_lake() -> str:
-    """Return the lake that is used without ``--lake``: ``CELLWRIGHT_LAKE``, else the folder ``lake`` here."""
-    return os.environ.get("CELLWRIGHT_LAKE") or "lake"
-
-
-def _lake_of(options: argparse.Namespace) -> str:
-    return default_lake() if options.lake is None else str(options.lake)  # an empty one is refused, not replaced
-
-
-class _Parser(argparse.ArgumentParser):
-    def __init__(self, prog: str = "", description: str = "", epilog: str = "", **keywords: Any) -> None:
-        super().__init__(
-            prog,
-            description=description,
-            epilog=epilog,
-            formatter_class=argparse.RawDescriptionHelpFormatter,
-            **keywords,
-        )
 
 
 class _Version(argparse.Action):
@@ -149,12 +115,12 @@ examples:
 """,
     )
     command.add_argument("cell", metavar="CELL.yaml", help="the cell file, or the name of a built-in example")
-    _add_set(command)
+    add_set(command)
     command.add_argument(
         "--seed", type=int, metavar="N", help="seed of samples, selection, roadmap and noise (planner.seed)"
     )
     command.add_argument("--out", type=Path, metavar="DIR", help="write report, plan and figures into this folder")
-    _add_run_options(command)
+    add_run_options(command)
     command.set_defaults(run=_inspect)
 
 
@@ -167,7 +133,7 @@ def _add_validate(commands: Any) -> None:
         "  cellwright validate cell.yaml --picture cell.png\n",
     )
     command.add_argument("cell", metavar="CELL.yaml", help="the cell file, or the name of a built-in example")
-    _add_set(command)
+    add_set(command)
     command.add_argument(
         "--picture",
         type=Path,
@@ -187,13 +153,13 @@ def _add_sweep(commands: Any) -> None:
     )
     command.add_argument("study", metavar="STUDY.yaml", type=Path, help="the study file")
     command.add_argument("--out", type=Path, metavar="DIR", help="write table and figures into this folder")
-    _add_run_options(command)
+    add_run_options(command)
     command.set_defaults(run=_sweep)
 
 
 def _add_lake(commands: Any) -> None:
     lake = commands.add_parser("lake", help="look into the lake, check it, sweep it")
-    actions = lake.add_subparsers(title="commands", metavar="COMMAND", required=True, parser_class=_Parser)
+    actions = lake.add_subparsers(title="commands", metavar="COMMAND", required=True, parser_class=Parser)
     for action, argument, meaning, example in _LAKE_COMMANDS:
         command = actions.add_parser(
             action, help=meaning, description=f"{meaning[0].upper()}{meaning[1:]}.", epilog=f"example:\n  {example}\n"
@@ -213,12 +179,10 @@ def _add_lake(commands: Any) -> None:
                 help="first forget all recorded runs but the newest N that finished and the newest N that did not; "
                 "none younger than a day",
             )
-        command.add_argument("--lake", metavar="DIR", help=_LAKE_HELP)
+        command.add_argument("--lake", metavar="DIR", help=LAKE_HELP)
         command.add_argument("--json", action="store_true", help="print JSON")
         command.set_defaults(run=_lake, action=action, subject=None)
 
-
-_LAKE_HELP = "folder or address of the lake (default: $CELLWRIGHT_LAKE, else ./lake)"
 
 _LAKE_COMMANDS = (
     ("ls", "", "list the artefacts, the newest last", "cellwright lake ls --json"),
@@ -247,7 +211,7 @@ def _add_server(commands: Any) -> None:
         help="start, stop or look at this machine's Prefect server",
         description="The server that shows runs in a browser. Commands that need it start it by themselves, once.",
     )
-    actions = server.add_subparsers(title="commands", metavar="COMMAND", required=True, parser_class=_Parser)
+    actions = server.add_subparsers(title="commands", metavar="COMMAND", required=True, parser_class=Parser)
     for action, meaning in (
         ("start", "start the server, or find the running one, and print its address"),
         ("stop", "stop the server"),
@@ -256,30 +220,6 @@ def _add_server(commands: Any) -> None:
         command = actions.add_parser(action, help=meaning, description=f"{meaning[0].upper()}{meaning[1:]}.")
         command.add_argument("--json", action="store_true", help="print JSON")
         command.set_defaults(run=_server, action=action)
-
-
-def _add_set(command: argparse.ArgumentParser) -> None:
-    command.add_argument(
-        "--set",
-        action="append",
-        default=[],
-        metavar="PATH=VALUE",
-        dest="overrides",
-        help="lay a setting over the cell file, e.g. part.scale=0.5; may be repeated",
-    )
-
-
-def _add_run_options(command: argparse.ArgumentParser) -> None:
-    command.add_argument("--lake", metavar="DIR", help=_LAKE_HELP)
-    command.add_argument(
-        "--refresh",
-        action="append",
-        default=[],
-        metavar="STAGE",
-        help="compute this stage although the lake has it; may be repeated",
-    )
-    command.add_argument("--direct", action="store_true", help="run without Prefect: no server, one stage at a time")
-    command.add_argument("--json", action="store_true", help="print the summary as JSON, and no progress")
 
 
 def _inspect(options: argparse.Namespace) -> int:
@@ -295,44 +235,11 @@ def _inspect(options: argparse.Namespace) -> int:
         if not options.json:
             found.show(stderr_console())
 
-    return _run_flow("inspection", options, cell, overrides=overrides, explain=explain)
+    return run_flow("inspection", options, cell, overrides=overrides, explain=explain)
 
 
 def _sweep(options: argparse.Namespace) -> int:
-    return _run_flow("study", options, options.study)
-
-
-def _run_flow(module: str, options: argparse.Namespace, *arguments: Any, **keywords: Any) -> int:
-    from importlib import import_module
-
-    from flows import server
-    from flows.execution import stage_named
-    from flows.progress import stage_progress
-
-    for name in options.refresh:
-        stage_named(name)
-    with (
-        stage_progress(quiet=options.json) as (watcher, say),
-        contextlib.nullcontext() if options.direct else server.connected(say),
-    ):
-        summary: Summary = import_module(f"flows.{module}").run(
-            *arguments,
-            **keywords,
-            lake=_lake_of(options),
-            refresh=frozenset(options.refresh),
-            out=options.out,
-            watcher=watcher,
-            direct=options.direct,
-        )
-    _print(summary, as_json=options.json)
-    return 0
-
-
-def _print(summary: Summary, *, as_json: bool) -> None:
-    if as_json:
-        write_json(summary.as_json())
-    else:
-        summary.show(stdout_console())
+    return run_flow("study", options, options.study)
 
 
 def _validate(options: argparse.Namespace) -> int:
@@ -342,13 +249,13 @@ def _validate(options: argparse.Namespace) -> int:
 
     cell = load_cell_file(find_cell_file(options.cell), options.overrides)
     if options.picture is None:
-        _print(CellSummary(cell), as_json=options.json)
+        print_summary(CellSummary(cell), as_json=options.json)
         return 0
     from flows.caches import use_own_caches
     from flows.cell_picture import draw_cell
 
     use_own_caches()
-    _print(CellSummary(cell, options.picture, tuple(draw_cell(cell, options.picture))), as_json=options.json)
+    print_summary(CellSummary(cell, options.picture, tuple(draw_cell(cell, options.picture))), as_json=options.json)
     return 0
 
 
@@ -357,7 +264,7 @@ def _lake(options: argparse.Namespace) -> int:
 
     return lake_commands.run(
         options.action,
-        _lake_of(options),
+        lake_of(options),
         subject=options.subject,
         delete=getattr(options, "yes", False),
         keep_runs=getattr(options, "keep_runs", None),
