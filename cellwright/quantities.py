@@ -37,6 +37,7 @@ rpm = turn / minute
 hertz = 1 / second = Hz
 kilogram = [mass] = kg
 gram = 0.001 * kilogram = g
+newton = kilogram * meter / second ** 2 = N
 percent = 0.01
 point = 1 = points
 """
@@ -75,6 +76,10 @@ ACCELERATION = Dimension("an acceleration", "m/s^2", "m/s^2", ("mm/s^2",))
 ANGULAR_SPEED = Dimension("an angular speed", "rad/s", "deg/s", ("rad/s", "rpm"))
 ANGULAR_ACCELERATION = Dimension("an angular acceleration", "rad/s^2", "deg/s^2", ("rad/s^2",))
 FREQUENCY = Dimension("a frequency", "Hz", "Hz", ("kHz",))
+MASS = Dimension("a mass", "kg", "kg", ("g",))
+TIME_WEIGHT = Dimension("a weight of time", "1/s", "/s")
+TORQUE_WEIGHT = Dimension("a weight of squared torque", "1/N^2/m^2/s", "/N^2/m^2/s")
+SPEED_WEIGHT = Dimension("a weight of squared speed", "s/rad^2", "s/rad^2", ("s/deg^2",))
 AREAL_DENSITY = Dimension("a density on a surface", "1/m^2", "/mm^2", ("/cm^2", "/m^2"))
 SHARE = Dimension("a share", "", "%")
 NUMBER = Dimension("a pure number", "", "")

@@ -129,20 +129,8 @@ class Scene:
         for k in self._near_pairs(q, _TOUCHING):
             if self._pair_collides(k, _TOUCHING):
                 return 0.0
-        body_poses_into(
-            self._chain.T_parent_joint,
-            self._chain.axis,
-            self._T_world_base,
-            self._parent,
-            self._T_parent_body,
-            np.ascontiguousarray(q, float),
-            self._links,
-            self._poses,
-        )
-        a, b = self.pairs[:, 0], self.pairs[:, 1]
-        centres = np.einsum("nij,nj->ni", self._poses[:, :3, :3], self._bounds.centre) + self._poses[:, :3, 3]
-        radius = self._bounds.radius
-        at_least = np.linalg.norm(centres[a] - centres[b], axis=1) - radius[a] - radius[b]
+        self._update_poses(q)
+        at_least = self._gaps_between_balls()
         smallest = math.inf
         request = coal.DistanceRequest()
         for pair in np.argsort(at_least, kind="stable"):
@@ -153,6 +141,51 @@ class Scene:
             found = coal.distance(one.geometry, self._Ta, other.geometry, self._Tb, request, result)
             smallest = min(smallest, max(0.0, float(found)))
         return smallest
+
+    @cached_property
+    def pair_links(self) -> Int32Array:
+        """Inner and outer link of each pair, (pairs, 2): joints ``inner`` to ``outer - 1`` move one against the other.
+
+        What stands in the world counts as fixed to the base, link 0.
+        """
+        return np.sort(np.maximum(self._parent[self.pairs], BASE), axis=1).astype(np.int32)
+
+    def pair_distances(self, q: FloatArray, within: float) -> FloatArray:
+        """Return what separates each pair at least, (pairs,) in m; exact below ``within`` m, 0 where they collide.
+
+        Above it the gap between the bounding balls, where that is already as large.
+        """
+        coal = self._coal
+        near = set(self._near_pairs(q, _TOUCHING))
+        self._update_poses(q)
+        gaps = self._gaps_between_balls()
+        request = coal.DistanceRequest()
+        for pair in np.flatnonzero(gaps < within).tolist():
+            one, other = self._place(pair)
+            found = coal.distance(one.geometry, self._Ta, other.geometry, self._Tb, request, coal.DistanceResult())
+            gaps[pair] = max(0.0, float(found))
+            if pair in near and self._pair_collides(pair, _TOUCHING):
+                gaps[pair] = 0.0
+        return gaps
+
+    def _update_poses(self, q: FloatArray) -> None:
+        body_poses_into(
+            self._chain.T_parent_joint,
+            self._chain.axis,
+            self._T_world_base,
+            self._parent,
+            self._T_parent_body,
+            np.ascontiguousarray(q, float),
+            self._links,
+            self._poses,
+        )
+
+    def _gaps_between_balls(self) -> FloatArray:
+        """Return by how much the bounding balls of each pair are apart at the poses of now, (pairs,)."""
+        a, b = self.pairs[:, 0], self.pairs[:, 1]
+        centres = np.einsum("nij,nj->ni", self._poses[:, :3, :3], self._bounds.centre) + self._poses[:, :3, 3]
+        radius = self._bounds.radius
+        return np.asarray(np.linalg.norm(centres[a] - centres[b], axis=1) - radius[a] - radius[b])
 
     def _near_pairs(self, q: FloatArray, margin: float) -> list[int]:
         count = near_pairs_at(

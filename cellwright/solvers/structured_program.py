@@ -29,10 +29,22 @@ _OPTIONS = {
     "ipopt.acceptable_iter": 8,
     "ipopt.mu_strategy": "adaptive",
     "ipopt.fast_step_computation": "yes",
+    # approximate minimum degree: on these matrices a fifth faster in all than the order that MUMPS chooses
+    "ipopt.mumps_pivot_order": 0,
     # the limit is on iterations, so that equal inputs give equal results on any machine
     "ipopt.max_wall_time": 1e9,
     "ipopt.max_cpu_time": 1e9,
 }
+
+_WARM = {
+    "ipopt.mu_strategy": "monotone",
+    "ipopt.mu_init": 1e-4,
+    "ipopt.bound_push": 1e-4,
+    "ipopt.bound_frac": 1e-4,
+    "ipopt.slack_bound_push": 1e-4,
+    "ipopt.slack_bound_frac": 1e-4,
+}
+"""For starts near the solution: stay where one is, at its active bounds too."""
 
 
 class LocalFunction:
@@ -121,6 +133,14 @@ class StructuredProgram:
         if len(index):
             self._terms.append(_Term(function, np.asarray(index), np.asarray(constants, float), rows))
         return rows
+
+    def add_rows(self, name: str, low: FloatArray, high: FloatArray) -> IntArray:
+        """Add constraints that are sums of instances, to be filled by `add_to_rows`; return the rows (n,)."""
+        return self._add_rows(name, np.asarray(low, float), np.asarray(high, float))
+
+    def add_to_rows(self, rows: IntArray, function: LocalFunction, index: IntArray, constants: FloatArray) -> None:
+        """Add every output of every instance to the row at its place in ``rows`` (n, n_r); rows may repeat."""
+        self._terms.append(_Term(function, np.asarray(index), np.asarray(constants, float), np.asarray(rows)))
 
     def add_linear(
         self,
@@ -222,7 +242,7 @@ class CompiledProgram:
         self.functions = functions
         chosen = {**_OPTIONS, "ipopt.max_iter": most_iterations}
         if warm:
-            chosen.update({"ipopt.mu_strategy": "monotone", "ipopt.mu_init": 1e-3})
+            chosen.update(_WARM)
         self.solver = casadi.nlpsol("program", "ipopt", {"x": x, "f": f, "g": g}, {**chosen, **functions, **options})
 
     def solve(self, x0: FloatArray) -> Solved:
