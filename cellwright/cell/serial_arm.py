@@ -202,12 +202,14 @@ class SerialArm:
         """Return ``T_base_flange`` (..., 4, 4) at ``q`` (..., joints)."""
         return np.asarray(self.link_poses(q)[..., -1, :, :] @ self.T_last_flange)
 
-    def jacobian(self, q: FloatArray, T_flange_tool: FloatArray | None = None) -> FloatArray:
+    def jacobian(
+        self, q: FloatArray, T_flange_tool: FloatArray | None = None, links: FloatArray | None = None
+    ) -> FloatArray:
         """Return the geometric Jacobian (..., 6, joints) of the flange, or of a tool on it, in the base frame.
 
-        Linear rows (m per rad or per m) come first. ``q`` is (..., joints).
+        Linear rows (m per rad or per m) come first. ``q`` is (..., joints); who has its `link_poses` may give them.
         """
-        links = self.link_poses(q)
+        links = self.link_poses(q) if links is None else links
         T_last_tip = self.T_last_flange if T_flange_tool is None else self.T_last_flange @ T_flange_tool
         tip = (links[..., -1, :, :] @ T_last_tip)[..., :3, 3]
         J = np.zeros((*tip.shape[:-1], 6, self.n_joints))

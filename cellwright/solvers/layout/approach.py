@@ -148,15 +148,17 @@ def newton_steps(
     """
     q = np.array(q, float)
     for _ in range(steps):
-        error = target_error(arm.flange_pose(q) @ T_flange_tool, T_base_goal, target)
+        links = arm.link_poses(q)
+        T_base_tool = links[..., -1, :, :] @ arm.T_last_flange @ T_flange_tool
+        error = target_error(T_base_tool, T_base_goal, target)
         size = np.abs(error).max(axis=1)
         if size.max(initial=0.0) < 1e-12:
             break
-        J = arm.jacobian(q, T_flange_tool)
+        J = arm.jacobian(q, T_flange_tool, links)
         if target is TargetKind.POSITION:
             J[:, 3:] = 0.0
         elif target is TargetKind.AXIS:
-            z = (arm.flange_pose(q) @ T_flange_tool)[:, :3, 2]
+            z = T_base_tool[:, :3, 2]
             J[:, 3:] -= z[:, :, None] * np.einsum("ni,nij->nj", z, J[:, 3:])[:, None, :]
         damped = np.swapaxes(J, 1, 2) @ J
         damped[:, range(arm.n_joints), range(arm.n_joints)] += damping + 0.1 * np.minimum(size, 1.0)[:, None] ** 2

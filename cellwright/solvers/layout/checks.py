@@ -16,13 +16,17 @@ from cellwright.solvers.layout.geometry import LayoutGeometry
 from cellwright.solvers.layout.mesh import BASE, HULL, SELF, STATIONS, WALL, WALLS, Checks, Mesh
 from cellwright.solvers.layout.nlp import LayoutPoint
 
-SAMPLES = 96
+_LEAST_SAMPLES = 48
 """Samples of a transition, at least."""
+_SAGITTA_M = 3e-4
+"""How much deeper a sphere may pass another between two samples, well below what the checks' margin leaves the gate."""
+_SHORTEST_STEP_M = 5e-3
+"""Samples are no closer than this, however small the spheres."""
 TOLERATED_M = 1e-6
 """Penetration that is not worth a check."""
 _WINDOW_M = 0.003
 """Around a violation also the samples with so little gap are checked, so that the path does not slip by between."""
-MOST_A_PAIR = 6
+MOST_A_PAIR = 10
 """Checks added a round for one robot sphere against one station, wall or other robot sphere in one transition."""
 _MOST_LAYOUT = 6
 """Layout checks added a round for one pair of bodies."""
@@ -48,20 +52,20 @@ class Samples:
     q: FloatArray
 
 
-def samples_of(
-    geometry: LayoutGeometry, mesh: Mesh, point: LayoutPoint, *, transitions: bool = True, n_samples: int = SAMPLES
-) -> Samples:
+def samples_of(geometry: LayoutGeometry, mesh: Mesh, point: LayoutPoint, *, transitions: bool = True) -> Samples:
     """Return the samples of a point: rows and places between them, and the knots of approaches.
 
-    Without ``transitions`` only their ends are sampled.
+    On transitions they are so dense that no sphere of the robot slips by between two of them. Without ``transitions``
+    only their ends are sampled.
     """
     problem = geometry.problem
+    counts = _samples_per_segment(geometry, mesh, point) if transitions else []
     columns: list[list[AnyArray]] = [[], [], [], [], []]
-    per_segment = max(1, -(-n_samples // mesh.n_segments))
     for number, rows in enumerate(mesh.transition_rows):
         if transitions:
-            segment = np.repeat(np.arange(len(rows) - 1), per_segment)
-            share = np.tile(np.arange(per_segment) / per_segment, len(rows) - 1)
+            each = counts[number]
+            segment = np.repeat(np.arange(len(rows) - 1), each)
+            share = np.concatenate([np.arange(count) / count for count in each.tolist()])
             # the end belongs to the last segment
             segment, share = np.append(segment, len(rows) - 2), np.append(share, 1.0)
         else:
@@ -89,6 +93,25 @@ def samples_of(
         speed = problem.arm.max_velocity
         q = q + bend[:, None] * speed * (point.velocity[before] - point.velocity[after])
     return Samples(before, after, share, transition, own_station, q)
+
+
+def _samples_per_segment(geometry: LayoutGeometry, mesh: Mesh, point: LayoutPoint) -> list[IntArray]:
+    """Return how many samples the segments of each transition get, (segments,) a transition.
+
+    A sphere that covers s between two samples enters one at whose surface both lie, with radii of r together, by
+    ``s^2 / (8 r)``. Counts are doubled until s is small enough, so that samples of one round stay those of the next.
+    """
+    least = max(1, -(-_LEAST_SAMPLES // mesh.n_segments))
+    step = geometry.sample_step(_SAGITTA_M, _SHORTEST_STEP_M)
+    if not np.isfinite(step):
+        return [np.full(len(rows) - 1, least) for rows in mesh.transition_rows]
+    spheres = geometry.robot_world(geometry.problem.base_pose(point.design), point.q)[:, geometry.moving_spheres]
+    counts = []
+    for rows in mesh.transition_rows:
+        travel = np.linalg.norm(np.diff(spheres[rows], axis=0), axis=2).max(axis=1)
+        doublings = np.ceil(np.log2(np.maximum(travel / (least * step), 1.0)))
+        counts.append((least * 2**doublings).astype(np.int64))
+    return counts
 
 
 def missing_checks(

@@ -80,6 +80,25 @@ def walled_station_problem(n_wall: int = 19) -> LayoutProblem:
     return LayoutProblem(arm, stations, robot_spheres=spheres)
 
 
+def thin_wall_problem() -> LayoutProblem:
+    """Return what section 5 warns of: a wall so thin that a robot whose motion is checked at few points steps over it.
+
+    Chosen: two fixed targets 0.9 m from the two-joint robot's axis, 1.2 rad apart, and a radial wall of spheres of
+    1 cm radius halfway between them, from 0.6 m outwards; the tool is a point of 2 cm radius, which has to draw back.
+    """
+    arm = built_in_arm("pr_robot")
+    along = np.arange(0.6, 1.26, 0.015)
+    wall = Spheres(np.stack([along, np.zeros_like(along), np.full_like(along, 0.5)], axis=1), np.full(len(along), 0.01))
+    target = Approach(pose(np.array([[0.9, 0.0, 0.5]]), np.eye(3)[None]), TargetKind.POSITION)
+    stations = [
+        Station(name, Harness((), pose(np.zeros(3), rotation_from_rpy(0.0, 0.0, angle))), Spheres(), (target,))
+        for name, angle in (("blue", -0.6), ("red", 0.6))
+    ]
+    stations.append(Station("wall", Harness(), wall))
+    spheres = RobotSpheres(np.array([2]), arm.T_last_flange[:3, 3][None], np.array([0.02]))
+    return LayoutProblem(arm, tuple(stations), robot_spheres=spheres)
+
+
 def four_station_problem(robot: str = "kr180_r2500_extra", target: TargetKind = TargetKind.POSE) -> LayoutProblem:
     """Return Fig. 5: four small rectangular stations in position and rotation about z, single points above them.
 

@@ -182,10 +182,10 @@ def _deepest(
     if where is None:
         return nothing
     place, own, row_q = where
-    return best, _touching(geometry, design, row_q, own), place
+    return best, touching_bodies(geometry, design, row_q, own), place
 
 
-def _touching(geometry: LayoutGeometry, design: FloatArray, q: FloatArray, own: int) -> tuple[str, str]:
+def touching_bodies(geometry: LayoutGeometry, design: FloatArray, q: FloatArray, own: int) -> tuple[str, str]:
     """Return the names of the two bodies with the smallest gap at a configuration (joints,)."""
     problem = geometry.problem
     robot = geometry.robot_world(problem.base_pose(design), q[None])

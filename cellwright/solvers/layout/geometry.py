@@ -80,6 +80,24 @@ class LayoutGeometry:
         """The robot spheres on links that move against the base."""
         return np.flatnonzero(self.problem.robot_spheres.link > 0)
 
+    def sample_step(self, sagitta_m: float, least_m: float) -> float:
+        """Return how far apart in m samples of a sphere's way may lie so that it dips no deeper than ``sagitta_m``.
+
+        That is between two samples, into any hull or any other part of the robot; at least ``least_m``, and infinite
+        where nothing is to be hit: walls are flat.
+        """
+        return max(least_m, float(np.sqrt(8.0 * sagitta_m * self.smallest_radii_m)))
+
+    @cached_property
+    def smallest_radii_m(self) -> float:
+        """The smallest sum of two radii, of the robot's moving spheres and what they may hit; infinite if nothing."""
+        radii = self.problem.robot_spheres.radii
+        pairs = self.problem.robot_spheres.self_pairs
+        smallest = float(radii[pairs].sum(axis=1).min()) if len(pairs) else np.inf
+        if len(self.hull_radii) and len(self.moving_spheres):
+            smallest = min(smallest, float(radii[self.moving_spheres].min() + self.hull_radii.min()))
+        return smallest
+
     def hull_world(self, design: FloatArray) -> FloatArray:
         """Return the hull centres (..., spheres, 3) in the world at designs (..., n_design)."""
         poses = self.problem.station_poses(design)[..., self.hull_station, :, :]
@@ -132,9 +150,12 @@ class LayoutGeometry:
     def hull_gaps(self, robot_world: FloatArray, hull_world: FloatArray) -> FloatArray:
         """Return gaps (n, moving robot spheres, hull spheres) in m of (n, robot spheres, 3) to (hull spheres, 3)."""
         moving = self.moving_spheres
-        apart = np.linalg.norm(robot_world[:, moving, None, :] - hull_world[None, None], axis=-1)
+        # |a - b|^2 as a product of matrices, about the middle so that it loses nothing: no array of differences
+        middle = hull_world.mean(axis=0) if len(hull_world) else np.zeros(3)
+        robot, hull = robot_world[:, moving] - middle, hull_world - middle
+        square = (robot**2).sum(axis=-1)[..., None] + (hull**2).sum(axis=-1) - 2.0 * (robot @ hull.T)
         radii = self.problem.robot_spheres.radii[moving][:, None] + self.hull_radii
-        return np.asarray(apart - radii - self.problem.clearance_m)
+        return np.asarray(np.sqrt(np.maximum(square, 0.0)) - (radii + self.problem.clearance_m))
 
     def wall_gaps(self, robot_world: FloatArray) -> FloatArray:
         """Return gaps (n, moving robot spheres, walls) in m; infinite for walls that do not hold the robot."""

@@ -127,6 +127,7 @@ def build_layout_nlp(
     tracking: float | None = None,
     slack_cost: float = SLACK_COST,
     margin_m: float = MARGIN_M,
+    motion_margin_m: float | None = None,
     lifted: bool = False,
     pinned: FloatArray | None = None,
     pinned_design: FloatArray | None = None,
@@ -136,7 +137,8 @@ def build_layout_nlp(
     ``order`` 2 limits accelerations. With ``tracking`` the tool poses are met softly: that many seconds a square metre
     and square radian, as in the paper's equation (4); otherwise exactly. An infinite ``slack_cost`` makes checks hard.
     ``pinned`` (n_configs, joints) holds configurations at its values where they are not NaN, ``pinned_design`` the
-    design. ``lifted`` gives spheres variables of their own, which pays with many checks a configuration.
+    design. ``motion_margin_m`` is what the robot's checks keep, if not as much as those among stations. ``lifted``
+    gives spheres variables of their own, which pays with many checks a configuration.
     """
     problem = symbols.problem
     program = StructuredProgram()
@@ -150,7 +152,8 @@ def build_layout_nlp(
         _add_travel(symbols, mesh, program, at)
     else:
         _add_accelerations(symbols, mesh, program, at)
-    rows, spheres = add_checks(symbols, mesh, checks, program, at, margin_m, lifted=lifted)
+    margins = (margin_m if motion_margin_m is None else motion_margin_m, margin_m)
+    rows, spheres = add_checks(symbols, mesh, checks, program, at, margins, lifted=lifted)
     elastic = len(rows) if np.isfinite(slack_cost) else 0
     slack = program.add_variables("slack", np.zeros(elastic), np.full(elastic, np.inf))
     if elastic:

@@ -6,6 +6,7 @@ methods differ in how they look for it, never in what they are asked or how they
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,7 @@ from cellwright.solvers.layout.geometry import LayoutGeometry
 from cellwright.solvers.layout.iterative import IterativeSettings, solve_iteratively
 from cellwright.solvers.layout.problem import LayoutProblem
 from cellwright.solvers.layout.proxies import ProxySettings, solve_by_proxy
-from cellwright.solvers.layout.relaxation import require_feasible
+from cellwright.solvers.layout.relaxation import nearest_clear_design, require_feasible
 from cellwright.solvers.layout.second_order import SecondOrderSettings, solve_second_order
 from cellwright.solvers.layout.solution import LayoutSolution
 from cellwright.solvers.layout.staged import StagedSettings, solve_staged
@@ -54,19 +55,53 @@ def solve_layout(
         settings: The method's own settings.
         symbols: The problem's expressions, to share them between calls.
 
+    A given start whose stations overlap is pushed apart; the solution's `notes` say which overlapped, by how much, and
+    what the smallest change of the start would have been.
+
     Raises:
         InvalidInputError: If the method is unknown, or the start has the wrong size or leaves its harnesses' ranges.
+        InfeasibleError: If the start overlaps and nothing within the harnesses separates it: what blocks, and the
+            smallest relaxation that was found.
     """
+    shared = symbols or LayoutSymbols(problem)
+    generator = np.random.default_rng(0) if rng is None else rng
+    solution = _solved(shared, method, start, generator, settings)
+    if start is None or not (overlaps := start_overlaps(problem, start)):
+        return solution
+    if any(finding.unit == "m" and "overlap" in finding.requirement for finding in solution.report.findings):
+        require_feasible(shared, checked_start(problem, start), generator)
+    return replace(solution, notes=(*solution.notes, _overlap_note(shared, start, overlaps)))
+
+
+def _solved(
+    symbols: LayoutSymbols, method: str, start: FloatArray | None, rng: np.random.Generator, settings: Any
+) -> LayoutSolution:
+    problem = symbols.problem
     if method not in METHODS:
         raise InvalidInputError(f"no layout method is called {method!r}: choose one of {', '.join(METHODS)}")
     solve, defaults = METHODS[method]
     own = defaults() if settings is None else settings
     if not isinstance(own, defaults):
         raise InvalidInputError(f"method {method!r} takes {defaults.__name__}, not {type(own).__name__}")
-    generator = np.random.default_rng(0) if rng is None else rng
-    design = sample_design(problem, generator) if start is None else checked_start(problem, start)
-    solution: LayoutSolution = solve(symbols or LayoutSymbols(problem), design, generator, own)
+    design = sample_design(problem, rng) if start is None else checked_start(problem, start)
+    solution: LayoutSolution = solve(symbols, design, rng, own)
     return solution
+
+
+def _overlap_note(symbols: LayoutSymbols, start: FloatArray, overlaps: list[str]) -> str:
+    """Return what overlaps at a start (n_design,), and the smallest change that would clear it."""
+    problem = symbols.problem
+    clear = nearest_clear_design(symbols, checked_start(problem, start))
+    told = f"the start is not free of overlap, so it was pushed apart: {listed(overlaps)}"
+    if clear is None:
+        return told
+    change = clear - checked_start(problem, start)
+    units = ["rad" if turns else "m" for harness in problem.harnesses for turns in (j.revolute for j in harness.joints)]
+    rows = np.argsort(-np.abs(change), kind="stable")
+    parts = [
+        f"{problem.design_names[row]} by {change[row]:+.4g} {units[row]}" for row in rows if abs(change[row]) > 1e-4
+    ]
+    return f"{told}; the smallest change found that clears it: {listed(parts)}"
 
 
 def solve_layout_from_starts(
@@ -92,7 +127,10 @@ def solve_layout_from_starts(
     for number in range(n_starts):
         rng = np.random.default_rng([seed, number])
         first = start if number == 0 else None
-        found.append(solve_layout(problem, method, start=first, rng=rng, settings=settings, symbols=symbols))
+        found.append(_solved(symbols, method, first, rng, settings))
+    if start is not None and (overlaps := start_overlaps(problem, start)):
+        note = _overlap_note(symbols, start, overlaps)
+        found = [replace(each, notes=(*each.notes, note)) for each in found]
     best = min(found, key=lambda each: (not each.converged, each.cycle_time_s + each.extra_cost))
     if not best.converged:
         require_feasible(symbols, best.design, np.random.default_rng([seed, n_starts]))
@@ -118,7 +156,7 @@ def checked_start(problem: LayoutProblem, start: FloatArray) -> FloatArray:
 def start_overlaps(problem: LayoutProblem, start: FloatArray) -> list[str]:
     """Return what overlaps at a design (n_design,) and by how much, deepest first; empty if nothing does.
 
-    The solvers push overlapping stations apart, but a start without overlap is faster and safer.
+    The solvers push overlapping stations apart and say so, but a start without overlap is faster and safer.
     """
     gaps = LayoutGeometry(problem).worst_layout_gaps(checked_start(problem, start))
     return [

@@ -19,7 +19,10 @@ _BOWS = (0.2, 0.5, 0.9, 1.4)
 _PATHS_A_SIZE = 20
 _SHRINKS = (1.0, 0.6, 0.3, 0.2)
 """Rounds of bows, each about the best path so far."""
-_SAMPLES = 33
+_LEAST_SAMPLES = 33
+_MOST_SAMPLES = 257
+_DETOUR = 4.0
+"""How much faster than the mean of the straight motion a path may pass something thin without stepping over it."""
 _PENETRATION_COST = 40.0
 """Seconds a metre of penetration costs while paths are compared."""
 
@@ -32,7 +35,8 @@ def promising_paths(
     The straight one alone if it is clear.
     """
     paths: FloatArray = straight[None]
-    costs = _costs(geometry, design, paths)
+    n_samples = _n_samples(geometry, design, straight)
+    costs = _costs(geometry, design, paths, n_samples)
     if costs[0] <= _time(geometry, straight[None])[0]:
         return [straight]
     arm = geometry.problem.arm
@@ -50,7 +54,7 @@ def promising_paths(
         bowed = np.clip(about + bows, arm.lower, arm.upper)
         bowed[:, [0, -1]] = straight[[0, -1]]
         paths = np.concatenate([paths, bowed])
-        costs = np.concatenate([costs, _costs(geometry, design, bowed)])
+        costs = np.concatenate([costs, _costs(geometry, design, bowed, n_samples)])
     return list(paths[np.argsort(costs, kind="stable")[:most]])
 
 
@@ -60,10 +64,18 @@ def _time(geometry: LayoutGeometry, paths: FloatArray) -> FloatArray:
     return np.asarray(steps.max(axis=2).sum(axis=1))
 
 
-def _costs(geometry: LayoutGeometry, design: FloatArray, paths: FloatArray) -> FloatArray:
+def _n_samples(geometry: LayoutGeometry, design: FloatArray, straight: FloatArray) -> int:
+    """Return how many samples a path between the ends of a straight one needs to step over nothing."""
+    spheres = geometry.robot_world(geometry.problem.base_pose(design), straight)[:, geometry.moving_spheres]
+    travel = float(np.linalg.norm(np.diff(spheres, axis=0), axis=2).sum(axis=0).max(initial=0.0))
+    wanted = _DETOUR * travel / max(geometry.smallest_radii_m, 1e-6)
+    return int(min(max(wanted, _LEAST_SAMPLES), _MOST_SAMPLES))
+
+
+def _costs(geometry: LayoutGeometry, design: FloatArray, paths: FloatArray, n_samples: int) -> FloatArray:
     """Return time plus the price of the deepest and the mean penetration, (n,)."""
     n, points = paths.shape[:2]
-    place = np.linspace(0.0, points - 1.0, _SAMPLES)
+    place = np.linspace(0.0, points - 1.0, n_samples)
     before = np.minimum(place.astype(int), points - 2)
     share = (place - before)[:, None]
     q = (1.0 - share) * paths[:, before] + share * paths[:, before + 1]

@@ -21,16 +21,19 @@ def add_checks(
     checks: Checks,
     program: StructuredProgram,
     at: Indices,
-    margin_m: float,
+    margins_m: tuple[float, float],
     *,
     lifted: bool = False,
 ) -> tuple[IntArray, IntArray]:
-    """Add all checks; return the row of each, motion first, in the order of `Checks`, and lifted spheres (n, 2)."""
+    """Add all checks, with one margin for motion and one for the layout.
+
+    Return the row of each, motion first, in the order of `Checks`, and lifted spheres (n, 2).
+    """
     rows = np.zeros(checks.n_checks, np.int64)
     spheres = np.zeros((0, 2), np.int64)
     left = np.ones(len(checks.motion), bool)
     if lifted:
-        chosen, own_rows, spheres = add_lifted_checks(symbols, checks, program, at, margin_m)
+        chosen, own_rows, spheres = add_lifted_checks(symbols, checks, program, at, margins_m[0])
         rows[chosen] = own_rows
         left[chosen] = False
     motion = checks.motion
@@ -39,11 +42,11 @@ def add_checks(
             groups = _motion_groups(symbols, motion[chosen])
             for group in np.unique(groups, axis=0):
                 own = chosen[(groups == group).all(axis=1)]
-                rows[own] = _add_motion(symbols, mesh, checks, own, place, program, at, margin_m)
+                rows[own] = _add_motion(symbols, mesh, checks, own, place, program, at, margins_m[0])
     for family in (STATIONS, BASE, WALLS):
         chosen = np.flatnonzero(checks.layout[:, 0] == family)
         if len(chosen):
-            _add_layout(symbols, family, checks.layout[:, 1], chosen, program, at, margin_m, rows[len(motion) :])
+            _add_layout(symbols, family, checks.layout[:, 1], chosen, program, at, margins_m[1], rows[len(motion) :])
     return rows, spheres
 
 

@@ -16,10 +16,12 @@ from cellwright.cell.transforms import inverse
 from cellwright.errors import InfeasibleError, listed
 from cellwright.solvers.layout.approach import target_error
 from cellwright.solvers.layout.checks import all_layout_checks, missing_checks, samples_of
+from cellwright.solvers.layout.gate import touching_bodies
 from cellwright.solvers.layout.geometry import LayoutGeometry
 from cellwright.solvers.layout.mesh import Checks, Mesh, build_mesh
-from cellwright.solvers.layout.nlp import LayoutPoint, build_layout_nlp, run_layout_nlp
-from cellwright.solvers.layout.solution import Finding
+from cellwright.solvers.layout.nlp import Indices, LayoutPoint, build_layout_nlp, run_layout_nlp
+from cellwright.solvers.layout.program_checks import add_checks
+from cellwright.solvers.layout.solution import ITSELF, Finding
 from cellwright.solvers.layout.start import start_points
 from cellwright.solvers.layout.symbols import LayoutSymbols
 from cellwright.solvers.structured_program import StructuredProgram
@@ -57,7 +59,12 @@ def smallest_relaxation(
     mesh = build_mesh(problem, 1)
     best: Relaxation | None = None
     layout = all_layout_checks(geometry)
-    for point in start_points(problem, mesh, start, rng, n_branches):
+    points = start_points(problem, mesh, start, rng, n_branches)
+    if geometry.layout_violation(start) > 0.0:
+        # where bodies overlap, also from where they overlap least
+        points += start_points(problem, mesh, _pushed_apart(symbols, start, start), rng, n_branches)
+    for point in points:
+        best = _smaller(best, _measured(geometry, mesh, point))
         checks = layout if layout.n_checks <= _MOST_LAYOUT else Checks()
         for _ in range(_ROUNDS):
             nlp = build_layout_nlp(symbols, mesh, checks, slack_cost=_PRICE, margin_m=0.0)
@@ -70,10 +77,12 @@ def smallest_relaxation(
             if more.n_checks == checks.n_checks:
                 break
             checks = more
-        found = _measured(geometry, mesh, point)
-        if best is None or found.total < best.total:
-            best = found
+        best = _smaller(best, _measured(geometry, mesh, point))
     return best if best is not None else Relaxation(())
+
+
+def _smaller(one: Relaxation | None, other: Relaxation) -> Relaxation:
+    return other if one is None or other.total < one.total else one
 
 
 def require_feasible(symbols: LayoutSymbols, start: FloatArray, rng: np.random.Generator) -> None:
@@ -88,6 +97,57 @@ def require_feasible(symbols: LayoutSymbols, start: FloatArray, rng: np.random.G
             f"the layout has no solution; the smallest relaxation found is {relaxation.total:.4g} in all: "
             f"{relaxation.message()}"
         )
+
+
+def nearest_clear_design(symbols: LayoutSymbols, design: FloatArray) -> FloatArray | None:
+    """Return the design (n_design,) nearest to an overlapping one whose stations, base and walls keep clear.
+
+    Nearest by the sum of all changes in m and rad, so that few joints change; the nearest found from the design itself
+    and a few places about it. None if no clear design was found within the harnesses.
+    """
+    problem, geometry = symbols.problem, symbols.geometry
+    rng = np.random.default_rng(0)
+    best: FloatArray | None = None
+    for share in (0.0, 0.1, 0.3, 1.0):
+        other = rng.uniform(problem.lower, problem.upper)
+        found = _pushed_apart(symbols, design, (1.0 - share) * design + share * other)
+        if geometry.layout_violation(found) > 0.0:
+            continue
+        if best is None or np.abs(found - design).sum() < np.abs(best - design).sum() - _WORTH_NAMING:
+            best = found
+    return best
+
+
+def _pushed_apart(symbols: LayoutSymbols, design: FloatArray, start: FloatArray) -> FloatArray:
+    """Return the outcome of least change from ``design`` that the program finds from ``start``, both (n_design,)."""
+    problem = symbols.problem
+    program = StructuredProgram()
+    moved = program.add_variables("design", problem.lower, problem.upper)
+    n = len(moved)
+    more, less = (program.add_variables(name, np.zeros(n), np.full(n, np.inf)) for name in ("more", "less"))
+    columns = np.stack([moved, more, less], axis=1)
+    program.add_linear("change", columns, np.array([1.0, -1.0, 1.0]), design, design)
+    program.add_linear_cost(np.concatenate([more, less]), 1.0)
+    parts = problem.design_slices()
+    none = np.zeros((0, problem.arm.n_joints), np.int64)
+    at = Indices(moved, none, none, none[:, 0], moved[parts[0]], tuple(moved[part] for part in parts[1:]))
+    checks = all_layout_checks(symbols.geometry)
+    rows, _ = add_checks(symbols, build_mesh(problem, 1), checks, program, at, (0.0, _WORTH_NAMING))
+    slack = program.add_variables("slack", np.zeros(len(rows)), np.full(len(rows), np.inf))
+    program.relax(rows, slack)
+    program.add_linear_cost(slack, _PRICE)
+    compiled = program.compiled()
+    x0 = np.zeros(program.n_variables)
+    x0[moved], x0[more], x0[less] = start, np.maximum(start - design, 0.0), np.maximum(design - start, 0.0)
+    x0[slack] = np.maximum(compiled.low[rows] - np.asarray(compiled.constraint(x0))[rows, 0], 0.0)
+    return np.asarray(compiled.solve(x0).x[moved])
+
+
+def _itself_or_other(one: str, other: str) -> str:
+    """Return what a robot touches: `ITSELF` and its two parts, or the other body and with what."""
+    if other == "robot base" or other.startswith("the link behind"):
+        return f"{ITSELF}, {one} and {other}"
+    return f"{other} with {one}"
 
 
 def _relax_targets(mesh: Mesh, program: StructuredProgram) -> None:
@@ -124,9 +184,11 @@ def _measured(geometry: LayoutGeometry, mesh: Mesh, point: LayoutPoint) -> Relax
         if turned > 10.0 * _WORTH_NAMING:
             findings.append(Finding(f"{problem.visit_name(visit)} cannot be reached at its angle", turned, "rad"))
         own = problem.visits[visit].station if len(rows) > 1 else -1
-        deep = -float(geometry.motion_gap(point.design, q, own).min())
-        if deep > _WORTH_NAMING:
-            findings.append(Finding(f"the robot at {problem.visit_name(visit)} touches something", deep, "m"))
+        gaps = geometry.motion_gap(point.design, q, own)
+        if -float(gaps.min()) > _WORTH_NAMING:
+            touching = touching_bodies(geometry, point.design, q[int(np.argmin(gaps))], own)
+            what = f"the robot at {problem.visit_name(visit)} touches {_itself_or_other(*touching)}"
+            findings.append(Finding(what, -float(gaps.min()), "m"))
     findings += [
         Finding(f"{gap.first} and {gap.second} overlap", -gap.gap_m, "m")
         for gap in geometry.worst_layout_gaps(point.design)

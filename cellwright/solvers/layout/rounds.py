@@ -16,10 +16,19 @@ from cellwright.arrays import FloatArray
 from cellwright.solvers.layout.checks import MOST_A_PAIR, missing_checks, samples_of
 from cellwright.solvers.layout.costs import extra_costs
 from cellwright.solvers.layout.mesh import Checks, Mesh
-from cellwright.solvers.layout.nlp import LayoutPoint, NLPResult, build_layout_nlp, cost_rows, run_layout_nlp
+from cellwright.solvers.layout.nlp import (
+    MARGIN_M,
+    LayoutNLP,
+    LayoutPoint,
+    NLPResult,
+    build_layout_nlp,
+    cost_rows,
+    run_layout_nlp,
+)
 from cellwright.solvers.layout.problem import LayoutProblem
 from cellwright.solvers.layout.solution import Phase
 from cellwright.solvers.layout.symbols import LayoutSymbols
+from cellwright.solvers.structured_program import CompiledProgram
 
 CLEAR_M = 2e-4
 """Penetration at a sample below which lazy checking stops; less than the margin that checks keep."""
@@ -28,8 +37,16 @@ NEAR_M = 0.02
 _TRUST = 0.25
 """Largest change of a configuration or design joint in the first round of a refinement, rad or m."""
 _LEAST_TRUST = 0.02
+_TRIES = 3
+"""Rounds that may touch something within one trust region, each adding what it touched, before it is made smaller."""
+_JUMP_M = 0.05
+"""Penetration that more checks will not mend: the round went into an obstacle."""
 _LEAST_GAIN = 1e-3
 """Share of the cost that a round has to gain for another one."""
+
+
+Programs = dict[Checks, tuple[LayoutNLP, CompiledProgram]]
+"""Programs of one mesh by the checks that they know."""
 
 
 class RoundLimits(Protocol):
@@ -83,18 +100,28 @@ def solve_lazily(
     warm: bool = False,
     most_rounds: int | None = None,
     pinned: FloatArray | None = None,
+    programs: Programs | None = None,
+    motion_margin_m: float = MARGIN_M,
+    most_iterations: int | None = None,
 ) -> Stage:
     """Solve a program again and again, adding the checks its solution violates, until it violates none.
 
-    With ``pinned`` configurations (n_configs, joints; NaN is free) the design stays as it is too.
+    With ``pinned`` configurations (n_configs, joints; NaN is free) the design stays as it is too. Calls on one mesh
+    that begin with the same checks may share their ``programs``. ``motion_margin_m`` is what the robot keeps.
     """
     point = start
     phases: list[Phase] = []
     best: Stage | None = None
     for number in range(most_rounds or limits.most_rounds):
-        held = None if pinned is None else start.design
-        nlp = build_layout_nlp(symbols, mesh, checks, order=order, pinned=pinned, pinned_design=held)
-        compiled = nlp.program.compiled(most_iterations=limits.most_iterations, warm=warm or number > 0)
+        kept = programs if number == 0 and programs is not None else {}
+        if checks not in kept:
+            held = None if pinned is None else start.design
+            nlp = build_layout_nlp(
+                symbols, mesh, checks, order=order, pinned=pinned, pinned_design=held, motion_margin_m=motion_margin_m
+            )
+            limit = most_iterations or limits.most_iterations
+            kept[checks] = nlp, nlp.program.compiled(most_iterations=limit, warm=warm or number > 0)
+        nlp, compiled = kept[checks]
         result = run_layout_nlp(nlp, compiled, point)
         sizes = (nlp.program.n_variables, nlp.program.n_constraints, checks.n_checks)
         phases.append(Phase(name, result.status, result.iterations, *sizes))
@@ -133,10 +160,14 @@ def refine(
     name: str,
     order: int = 1,
     pinned: FloatArray | None = None,
+    beat: float = np.inf,
+    least_gain: float = _LEAST_GAIN,
 ) -> Stage:
     """Shorten a clear motion by rounds within a trust region; return the best clear stage, at worst the start.
 
-    Of the second order the start only has to keep clear; if no round meets all limits the stage is not clear.
+    A start that is not quite clear is made so first. Of the second order the start only has to keep clear; if no round
+    meets all limits the stage is not clear. The rounds end where even a program that lacks checks gains nothing more
+    on the best so far or on the cost to ``beat``, than the share ``least_gain``.
     """
     geometry, motion_only = symbols.geometry, pinned is not None
     best = clear_stage(symbols, mesh, start, checks)
@@ -146,7 +177,7 @@ def refine(
     trust, phases = _TRUST, []
     # on a fine mesh a path slips by between few checks
     most_a_pair = max(MOST_A_PAIR, mesh.n_segments // 2)
-    known = checks
+    known, tries = checks, 0
     for _ in range(limits.most_rounds):
         point = best.result.point
         samples = samples_of(geometry, mesh, point)
@@ -165,17 +196,24 @@ def refine(
         sizes = (nlp.program.n_variables, nlp.program.n_constraints, current.n_checks)
         phases.append(Phase(name, result.status, result.iterations, *sizes))
         samples = samples_of(geometry, mesh, result.point)
-        missing, deepest = missing_checks(geometry, result.point, samples, motion_only=motion_only)
+        missing, deepest = missing_checks(
+            geometry, result.point, samples, motion_only=motion_only, most_a_pair=most_a_pair
+        )
         stage = Stage(mesh, result, current, deepest, tuple(phases))
-        gain = best.cost - stage.cost
-        if stage.clear and (gain > 0.0 or not best.clear):
-            best = stage
-            if gain < _LEAST_GAIN * abs(stage.cost):
-                break
+        was_clear = best.clear
+        least = min(beat, best.cost if was_clear else np.inf)
+        gains = least - stage.cost >= least_gain * abs(stage.cost)
+        if stage.clear and (stage.cost < best.cost or not was_clear):
+            best, tries = stage, 0
+        if not gains:
+            # with all checks a round would gain still less
+            break
+        if best is stage:
             continue
-        known = known.joined(missing)
-        trust *= 0.4 if best.clear else 1.0
-        if trust < _LEAST_TRUST or (stage.clear and best.clear):
+        known, tries = known.joined(missing), tries + 1
+        if was_clear and (tries == _TRIES or deepest > _JUMP_M):
+            trust, tries = 0.4 * trust, 0
+        if trust < _LEAST_TRUST:
             break
     return replace(best, phases=tuple(phases))
 

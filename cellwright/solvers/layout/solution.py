@@ -8,6 +8,9 @@ import numpy as np
 
 from cellwright.arrays import FloatArray
 
+ITSELF = "itself"
+"""What a robot touches whose own spheres overlap: perhaps only since they are few, and larger than what they hold."""
+
 
 @dataclass(frozen=True, eq=False)
 class Transition:

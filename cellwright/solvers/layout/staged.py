@@ -5,7 +5,8 @@
    program of some forty variables. If the straight motions are clear, this is the optimum and nothing is left to do.
 2. Few segments of free duration with checks between them. A polyline is a whole first-order motion, checked at every
    sample, so this already is a valid cycle.
-3. On request, N segments of equal duration, endpoints hard; kept if it is shorter and passes.
+3. N segments of equal duration, endpoints hard, where motions are bent; kept if it is shorter and passes. It ends after
+   the first program that cannot undercut the second stage, whatever checks it still lacks.
 
 Collision checks are added lazily with elastic slack (`checks`). Each start runs through several branches of the
 inverse kinematics; a branch whose time without obstacles exceeds a finished cycle is dropped.
@@ -25,10 +26,27 @@ from cellwright.solvers.layout.mesh import Checks, Mesh, build_mesh, path_mesh
 from cellwright.solvers.layout.nlp import LayoutPoint, NLPResult
 from cellwright.solvers.layout.paths import bent, promising_paths
 from cellwright.solvers.layout.problem import LayoutProblem
-from cellwright.solvers.layout.rounds import CLEAR_M, NEAR_M, Stage, clear_stage, extra_cost, refine, solve_lazily
+from cellwright.solvers.layout.rounds import (
+    CLEAR_M,
+    NEAR_M,
+    Programs,
+    Stage,
+    clear_stage,
+    extra_cost,
+    refine,
+    solve_lazily,
+)
 from cellwright.solvers.layout.solution import LayoutSolution, Phase, Transition
 from cellwright.solvers.layout.start import segment_times, spread_points, start_points
 from cellwright.solvers.layout.symbols import LayoutSymbols
+
+_STATION_MARGIN_M = 2e-3
+"""What station configurations keep from everything in the first stage: a path that begins on a surface has no room to
+leave it on. The later stages move them on to the margin of all checks."""
+_PATH_ITERATIONS = 100
+"""Ipopt iterations a program of one transition's path: what takes longer is not on its way to a clear one."""
+_PATH_LEAST_GAIN = 0.05
+"""Share of its time that a round must gain on one transition's path, which is refined with all others afterwards."""
 
 __all__ = ["Stage", "StagedSettings", "bent", "path_between", "solution_of", "solve_lazily", "solve_staged"]
 
@@ -46,12 +64,12 @@ class StagedSettings:
         n_places: Random places of each station for them.
         most_paths: Outcomes of the first stage, best first, whose paths are tried.
         worth: Share by which an outcome's time without obstacles must undercut a finished cycle to be tried.
+        hope: Share by which an outcome with its paths may exceed a finished cycle and still be refined.
         n_bends: Bent paths a transition that the second stage may start from, most promising first.
         most_rounds: Rounds of lazy checks a stage.
         most_iterations: Ipopt iterations a program.
         most_layout: Layout checks that are all taken at once; more are added lazily too.
-        polish: Whether the third stage runs: among obstacles 1 to 2 % off the cycle in trials, for half as much time
-            again.
+        polish: Whether the third stage runs.
         tolerances: Of the gate.
     """
 
@@ -63,10 +81,11 @@ class StagedSettings:
     n_places: int = 12
     most_paths: int = 4
     worth: float = 0.15
+    hope: float = 0.1
     n_bends: int = 2
     most_rounds: int = 12
     most_iterations: int = 200
-    polish: bool = False
+    polish: bool = True
     most_layout: int = 400
     tolerances: GateTolerances = field(default_factory=GateTolerances)
 
@@ -91,7 +110,8 @@ def staged_outcome(
     for stage in stations:
         if best is not None and best.clear and (not stage.clear or stage.cost >= best.cost * (1.0 - settings.worth)):
             continue
-        whole = _with_path(symbols, stage, rng, settings, phases)
+        beat = best.cost if best is not None and best.clear else np.inf
+        whole = _with_path(symbols, stage, rng, settings, phases, beat)
         if best is None or (not whole.clear, whole.cost) < (not best.clear, best.cost):
             best = whole
     if best is None:
@@ -113,6 +133,7 @@ def _stations(
     layout = all_layout_checks(symbols.geometry)
     known = layout if layout.n_checks <= settings.most_layout else Checks()
     found: list[Stage] = []
+    programs: Programs = {}
     for sweep in range(settings.n_sweeps + 1):
         if sweep == 0:
             points = start_points(problem, mesh, start, rng, settings.n_branches)
@@ -120,9 +141,21 @@ def _stations(
             about = found[0].result.point.design
             points = spread_points(problem, mesh, about, rng, settings.n_spread, settings.n_places)
         for point in points:
-            stage = solve_lazily(symbols, mesh, point, known, settings, name="stations", transitions=False)
+            stage = solve_lazily(
+                symbols,
+                mesh,
+                point,
+                known,
+                settings,
+                name="stations",
+                transitions=False,
+                programs=programs,
+                motion_margin_m=_STATION_MARGIN_M,
+            )
             phases += stage.phases
-            known = known.joined(stage.checks)
+            more = known.joined(stage.checks)
+            if more.n_checks > known.n_checks:
+                known, programs = more, {}
             if not any(_same(stage, other) for other in found):
                 found.append(stage)
         found.sort(key=lambda each: (not each.clear, each.cost))
@@ -134,27 +167,43 @@ def _same(one: Stage, other: Stage) -> bool:
 
 
 def _with_path(
-    symbols: LayoutSymbols, stations: Stage, rng: np.random.Generator, settings: StagedSettings, phases: list[Phase]
+    symbols: LayoutSymbols,
+    stations: Stage,
+    rng: np.random.Generator,
+    settings: StagedSettings,
+    phases: list[Phase],
+    beat: float,
 ) -> Stage:
-    """Return the stage itself if its straight motions are clear, else the second stage from it."""
+    """Return the stage itself if its straight motions are clear, else the second stage from it.
+
+    Given up, and returned as not clear, where a path is not found or paths take so much longer than straight motions
+    that refinement will not undercut the cost to ``beat``.
+    """
     samples = samples_of(symbols.geometry, stations.mesh, stations.result.point)
     _, deepest = missing_checks(symbols.geometry, stations.result.point, samples)
-    if deepest <= CLEAR_M or not stations.clear:
+    if not stations.clear:
         # what blocks the stations themselves no path can mend
         return stations
+    if deepest <= CLEAR_M:
+        if not len(stations.checks.motion):
+            return stations
+        stage = refine(symbols, stations.mesh, stations.result.point, stations.checks, settings, name="straight")
+        phases += stage.phases
+        return stage
     mesh = build_mesh(symbols.problem, settings.n_coarse, free_times=True)
     point = stations.result.point
     q = mesh.interpolated([point.q[rows] for rows in stations.mesh.visit_rows])
-    clear = True
-    for rows in mesh.transition_rows:
+    blocked = replace(stations, deepest_m=max(deepest, 2.0 * CLEAR_M))
+    cost = stations.cost
+    for number, rows in enumerate(mesh.transition_rows):
         path = path_between(symbols, point.design, q[rows], rng, settings, phases)
         q[rows] = path.result.point.q
-        clear = clear and path.clear
+        cost += path.cost - float(point.times[number])
+        if not path.clear or cost > beat * (1.0 + settings.hope):
+            return blocked
     start = LayoutPoint(point.design, q, segment_times(symbols.problem, mesh, q))
     samples = samples_of(symbols.geometry, mesh, start)
-    near, deepest = missing_checks(symbols.geometry, start, samples, tolerated_m=-NEAR_M)
-    if not clear:
-        return replace(stations, deepest_m=max(deepest, 2.0 * CLEAR_M))
+    near, _ = missing_checks(symbols.geometry, start, samples, tolerated_m=-NEAR_M)
     checks = Checks(layout=stations.checks.layout).joined(near)
     stage = refine(symbols, mesh, start, checks, settings, name="coarse")
     phases += stage.phases
@@ -177,21 +226,36 @@ def path_between(
     pinned = np.full_like(straight, np.nan)
     pinned[[0, -1]] = straight[[0, -1]]
     best: Stage | None = None
+    least = float(segment_times(symbols.problem, path_mesh(1), straight[[0, -1]])[0])
     for q in promising_paths(symbols.geometry, design, straight, rng, settings.n_bends):
         point = LayoutPoint(design, q, segment_times(symbols.problem, mesh, q))
         samples = samples_of(symbols.geometry, mesh, point)
         near, _ = missing_checks(symbols.geometry, point, samples, motion_only=True, tolerated_m=-NEAR_M)
         if clear_stage(symbols, mesh, point, near).clear:
-            stage = refine(symbols, mesh, point, near, settings, name="path", pinned=pinned)
+            stage = refine(
+                symbols, mesh, point, near, settings, name="path", pinned=pinned, least_gain=_PATH_LEAST_GAIN
+            )
         elif best is not None and best.clear:
             break
         else:
             stage = solve_lazily(
-                symbols, mesh, point, near, settings, name="path", pinned=pinned, warm=True, most_rounds=6
+                symbols,
+                mesh,
+                point,
+                near,
+                settings,
+                name="path",
+                pinned=pinned,
+                warm=True,
+                most_rounds=6,
+                most_iterations=_PATH_ITERATIONS,
             )
         phases += stage.phases
         if best is None or (not stage.clear, stage.cost) < (not best.clear, best.cost):
             best = stage
+        if best.clear and best.cost <= least * (1.0 + _PATH_LEAST_GAIN):
+            # no motion between these configurations is faster than the straight one
+            break
     if best is None:
         raise ValueError("no path was allowed")
     return best
@@ -206,7 +270,15 @@ def _polished(symbols: LayoutSymbols, coarse: Stage, settings: StagedSettings, p
     for rows, transition in zip(mesh.transition_rows, transitions_of(problem, coarse.mesh, point)):
         q[rows] = transition.at(np.linspace(0.0, transition.duration_s, len(rows)))
     start = LayoutPoint(point.design, q, segment_times(problem, mesh, q))
-    fine = refine(symbols, mesh, start, Checks(layout=coarse.checks.layout), settings, name="polish")
+    fine = refine(
+        symbols,
+        mesh,
+        start,
+        Checks(layout=coarse.checks.layout),
+        settings,
+        name="polish",
+        beat=coarse.cost,
+    )
     phases += fine.phases
     return fine if fine.clear and fine.cost < coarse.cost else coarse
 

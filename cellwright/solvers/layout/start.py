@@ -183,28 +183,28 @@ def cheapest_cycles(
         layers.append(Candidates(each.q[order], each.error[order], each.sample[order]))
     steps = []
     for start, end in problem.transitions:
-        away = np.abs(layers[start].q[:, None, -1] - layers[end].q[None, :, 0]) / speed
+        slowest = np.zeros((len(layers[start].q), len(layers[end].q)))
+        for before, after, fastest in zip(layers[start].q[:, -1].T, layers[end].q[:, 0].T, speed):
+            np.maximum(slowest, np.abs(before[:, None] - after) / fastest, out=slowest)
         # what is out of reach costs, so that reached branches win
-        step = away.max(axis=2) + _MISS_COST * layers[end].error[None, :]
+        step = slowest + _MISS_COST * layers[end].error[None, :]
         if designs is not None:
             overlap = _overlaps(problem, designs, start, end)
             step = step + _MISS_COST * overlap[layers[start].sample[:, None], layers[end].sample[None, :]]
         steps.append(step)
-    first_count = len(layers[0].q)
-    best = np.full((first_count, first_count), np.inf)
-    best[range(first_count), range(first_count)] = 0.0
-    parents = []
+    # costs from each first candidate to each candidate of a layer, (first, candidates) a layer
+    reached = [np.where(np.eye(len(layers[0].q), dtype=bool), 0.0, np.inf)]
     for step in steps[: len(layers) - 1]:
-        total = best[:, :, None] + step[None]
-        parents.append(np.argmin(total, axis=1))
-        best = np.min(total, axis=1)
-    ending = best + steps[-1].T if problem.cyclic else best
+        backwards = np.ascontiguousarray(step.T)
+        # one first candidate at a time stays within the processor's cache
+        reached.append(np.stack([(costs + backwards).min(axis=1) for costs in reached[-1]]))
+    ending = reached[-1] + steps[-1].T if problem.cyclic else reached[-1]
     found = []
     for first in np.argsort(ending.min(axis=1), kind="stable")[:most].tolist():
         last = int(np.argmin(ending[first]))
         path = [last]
-        for parent in reversed(parents):
-            path.append(int(parent[first, path[-1]]))
+        for before, step in zip(reversed(reached[:-1]), reversed(steps[: len(layers) - 1])):
+            path.append(int(np.argmin(before[first] + step[:, path[-1]])))
         chosen = list(zip(layers, reversed(path)))
         knots = [layer.q[row] for layer, row in chosen]
         found.append((knots, [int(layer.sample[row]) for layer, row in chosen], float(ending[first, last])))

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cellwright.cell.built_in_robots import built_in_robot
+from cellwright.cell.built_in_robots import BUILT_IN, built_in_arm
 from cellwright.cell.robot import Robot
 from cellwright.cell.serial_arm import SerialArm
 from cellwright.cell.symbolic_model import from_pinocchio, symbolic_model
@@ -48,8 +48,9 @@ def test_expressions_of_any_serial_chain_equal_pinocchio(seed: int) -> None:
     assert_equal_to_pinocchio(SerialArm.from_urdf(random_urdf(seed)), seed)
 
 
-def test_expressions_of_the_ur10e_equal_pinocchio() -> None:
-    assert_equal_to_pinocchio(SerialArm.from_robot(built_in_robot("ur10e")), 1)
+@pytest.mark.parametrize("name", [entry.name for entry in BUILT_IN])
+def test_expressions_of_every_built_in_robot_equal_pinocchio(name: str) -> None:
+    assert_equal_to_pinocchio(built_in_arm(name), 1)
 
 
 def test_expressions_of_the_crx_equal_pinocchio() -> None:

@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 from cellwright.arrays import AnyArray
-from cellwright.figures.layout_charts import layout_view, time_scatter
+from cellwright.figures.layout_charts import interval_chart, layout_view, time_scatter
 from cellwright.solvers.layout.examples import station_distance_problem
 from cellwright.solvers.layout.problem import LayoutProblem
 from cellwright.solvers.layout.proxies import time_layout
@@ -58,3 +58,11 @@ def test_the_scatter_shows_every_solver() -> None:
     seen = pixels(png)
     for colour in ((63, 111, 214), (209, 73, 91), (42, 157, 92)):
         assert (np.abs(seen - np.array(colour)).max(axis=-1) <= 8).sum() > 30
+
+
+def test_a_chart_of_intervals_is_the_same_bytes_for_the_same_rows_and_changes_with_them() -> None:
+    rows = [("direct", 10, 0.02), ("direct", 100, 0.001), ("ours", 10, 0.0)]
+    chart = interval_chart(rows, title="wall")
+    assert chart.startswith(b"\x89PNG")
+    assert chart == interval_chart(list(rows), title="wall")
+    assert chart != interval_chart(rows[:2], title="wall")

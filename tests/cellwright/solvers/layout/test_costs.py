@@ -3,8 +3,10 @@ from __future__ import annotations
 import casadi
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
-from cellwright.cell.built_in_robots import built_in_robot
+from cellwright.cell.built_in_robots import built_in_arm, built_in_robot
 from cellwright.cell.serial_arm import SerialArm
 from cellwright.cell.symbolic_model import symbolic_model
 from cellwright.solvers.layout.costs import cost_expression, extra_costs, manipulability, repeatability
@@ -49,3 +51,21 @@ def test_repeatability_is_the_spread_of_the_tool_that_sampling_shows() -> None:
 def test_arms_with_few_joints_have_manipulability_too() -> None:
     # a polar arm's is the reach times the unit slide, with the turn's own rotation
     assert manipulability(polar_arm(), np.array([[0.3, 1.0]]))[0] == pytest.approx(np.sqrt(2.0))
+
+
+@given(st.integers(0, 1_000), st.sampled_from(["ur10e", "kr180_r2500_extra", "scara", "pr_robot"]), st.booleans())
+@settings(max_examples=25, deadline=None)
+def test_slopes_of_the_extra_costs_are_those_of_differences(seed: int, robot: str, worst_case: bool) -> None:
+    arm = built_in_arm(robot)
+    rng = np.random.default_rng(seed)
+    q = rng.uniform(np.maximum(arm.lower, -2.0), np.minimum(arm.upper, 2.0))
+    deviation = tuple(rng.uniform(1e-4, 3e-4, arm.n_joints).tolist())
+    x = casadi.SX.sym("x", arm.n_joints)
+    J = symbolic_model(arm).jacobian(x)
+    step = 1e-5 * np.eye(arm.n_joints)
+    for cost in (LayoutCost(manipulability=2.0), LayoutCost(0.0, 30.0, deviation, worst_case)):
+        if cost.manipulability and manipulability(arm, q[None])[0] < 1e-3:
+            continue
+        slope = casadi.Function("slope", [x], [casadi.gradient(cost_expression(J, cost), x)])
+        away = extra_costs(arm, q + step, cost) - extra_costs(arm, q - step, cost)
+        np.testing.assert_allclose(np.asarray(slope(q))[:, 0], away / 2e-5, rtol=1e-3, atol=1e-5)

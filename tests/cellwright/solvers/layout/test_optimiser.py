@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -10,20 +11,27 @@ from cellwright.cell.harness import DesignJoint as Joint
 from cellwright.cell.harness import Harness, X, fixed
 from cellwright.cell.transforms import pose
 from cellwright.errors import InfeasibleError, InvalidInputError
+from cellwright.solvers.layout.costs import extra_costs
+from cellwright.solvers.layout.direct import DirectSettings
+from cellwright.solvers.layout.examples import thin_wall_problem
+from cellwright.solvers.layout.geometry import LayoutGeometry
 from cellwright.solvers.layout.optimiser import solve_layout, solve_layout_from_starts, start_overlaps
 from cellwright.solvers.layout.problem import (
     HOME,
     Approach,
     LayoutCost,
     LayoutProblem,
+    RobotSpheres,
     Spheres,
     Station,
     TargetKind,
     Visit,
     Wall,
 )
+from cellwright.solvers.layout.relaxation import nearest_clear_design
 from cellwright.solvers.layout.solution import LayoutSolution
 from cellwright.solvers.layout.staged import StagedSettings
+from cellwright.solvers.layout.symbols import LayoutSymbols
 from tests.cellwright.solvers.small_layouts import polar_arm, polar_spheres, ring_harness, two_stations
 
 START = np.array([-1.2, 0.8, 1.2, 0.8])
@@ -75,10 +83,9 @@ def test_the_beam_draws_back_from_a_post_and_every_sample_is_clear() -> None:
     assert solution.report.path_violation_m < 5e-4
 
 
-def test_the_polish_keeps_a_clear_motion_clear() -> None:
-    settings = StagedSettings(polish=True)
-    polished = solve_layout(held_apart(), rng=np.random.default_rng(0), settings=settings)
-    plain = solve_layout(held_apart(), rng=np.random.default_rng(0))
+def test_the_polish_runs_by_default_and_keeps_a_clear_motion_clear() -> None:
+    polished = solve_layout(held_apart(), rng=np.random.default_rng(0))
+    plain = solve_layout(held_apart(), rng=np.random.default_rng(0), settings=StagedSettings(polish=False))
     assert polished.converged
     assert polished.cycle_time_s <= plain.cycle_time_s + 1e-9
     assert any(phase.name == "polish" for phase in polished.phases)
@@ -140,6 +147,28 @@ def test_manipulability_is_maximised() -> None:
     assert outer.transitions[0].q[0, 1] > inner.transitions[0].q[0, 1] + 0.2
 
 
+@pytest.mark.parametrize("along_path", [False, True])
+@pytest.mark.parametrize("which", ["manipulability", "repeatability"])
+def test_a_higher_weight_improves_the_measure_it_weighs(which: str, along_path: bool) -> None:
+    problem = two_stations(radius=0.01)
+    measured = []
+    for weight in (0.0, 0.2, 20.0):
+        # what a metre of error costs is that much more than what a unit of manipulability is worth
+        factor = weight * (1e3 if which == "repeatability" else 1.0)
+        cost = LayoutCost(joint_deviation=(1e-3, 1e-4), along_path=along_path, **{which: factor})
+        solution = solve_layout(replace(problem, cost=cost), start=START)
+        assert solution.converged, solution.report.blocking
+        q = np.concatenate(solution.approach_q)
+        if along_path:
+            q = np.concatenate([t.at(np.linspace(0.0, t.duration_s, 50)) for t in solution.transitions])
+        unit = replace(cost, **{which: 1.0})
+        measured.append(float(extra_costs(problem.arm, q, unit).mean()))
+        assert solution.extra_cost == pytest.approx(factor * measured[-1], rel=0.05, abs=1e-9)
+    # both count as costs, so manipulability enters with a minus sign
+    assert measured[2] < measured[0]
+    assert measured[2] <= measured[1] + 1e-6 <= measured[0] + 2e-6
+
+
 def test_a_wall_holds_stations_and_beam() -> None:
     problem = replace(two_stations(), walls=(Wall("wall", np.array([-1.0, 0.0, 0.0]), -0.8),))
     solution = solve_layout(problem, start=START)
@@ -188,9 +217,71 @@ def test_a_start_that_does_not_fit_is_refused_and_overlaps_are_told() -> None:
     assert "overlap by 0.1" in start_overlaps(problem, np.array([-0.05, 1.0, 0.05, 1.0]))[0]
 
 
-def test_an_overlapping_start_is_pushed_apart() -> None:
-    solution = solve_layout(two_stations(), start=np.array([-0.05, 0.7, 0.05, 0.7]))
+def test_an_overlapping_start_is_pushed_apart_and_told_with_the_smallest_change() -> None:
+    start = np.array([-0.05, 0.7, 0.05, 0.7])
+    problem = two_stations()
+    solution = solve_layout(problem, start=start)
     assert solution.converged, solution.report.blocking
+    (note,) = solution.notes
+    assert "station 1 and station 2 overlap by 0.13" in note
+    # turning about the column takes the least: 0.2 m apart at 0.7 m
+    least = 2.0 * np.arcsin(0.1 / 0.7) - 0.1
+    symbols = LayoutSymbols(problem)
+    clear = nearest_clear_design(symbols, start)
+    assert clear is not None
+    assert symbols.geometry.layout_violation(clear) == 0.0
+    assert np.abs(clear - start).sum() <= least + 1e-3
+    assert "the smallest change found that clears it: station" in note
+    assert solve_layout(problem, start=START).notes == ()
+    assert solve_layout_from_starts(problem, n_starts=1, start=start).notes == (note,)
+
+
+def test_an_overlapping_start_that_cannot_be_separated_is_an_error_with_the_smallest_relaxation() -> None:
+    problem = replace(two_stations(radius=0.5, ranges=((0.0, 0.2), (0.1, 0.3))), robot_spheres=RobotSpheres())
+    start = np.array([0.1, 0.8, 0.2, 0.8])
+    assert nearest_clear_design(LayoutSymbols(problem), start) is None
+    with pytest.raises(InfeasibleError, match="station 1 and station 2 overlap") as caught:
+        solve_layout(problem, start=start)
+    # no place on a fine grid of the harnesses overlaps less in all than what is told
+    grid = np.stack(np.meshgrid(*[np.linspace(a, b, 9) for a, b in zip(problem.lower, problem.upper)]), -1)
+    gaps = LayoutGeometry(problem).layout_gaps(grid.reshape(-1, 4))
+    least = sum(np.maximum(-each, 0.0).sum(axis=-1) for each in gaps).min()
+    told = float(re.findall(r"smallest relaxation found is ([\d.]+)", str(caught.value))[0])
+    assert told <= 1.02 * least
+
+
+def test_the_direct_solver_goes_round_a_post_that_is_in_the_straight_way() -> None:
+    problem = two_stations(obstacle=0.15).with_design(np.array([-0.6, 1.0, 0.6, 1.0]))
+    direct = solve_layout(problem, "direct", settings=DirectSettings(n_segments=40))
+    assert direct.converged, direct.report.blocking
+    for transition in direct.transitions:
+        q = transition.at(np.linspace(0.0, transition.duration_s, 500))
+        passing = q[np.argmin(np.abs(q[:, 0])), 1]
+        # before the post or behind it
+        assert abs(passing - 0.8) > 0.168
+    # there is time to draw back while the arm turns; soft targets gain it a little
+    ours = solve_layout(problem)
+    assert ours.cycle_time_s == pytest.approx(2.0 * 1.2 / 1.5, abs=1e-3)
+    assert direct.cycle_time_s == pytest.approx(ours.cycle_time_s, abs=5e-3)
+
+
+def test_the_direct_solver_does_not_find_its_way_round_a_wide_post_and_its_gate_says_so() -> None:
+    direct = solve_layout(held_apart(), "direct", settings=DirectSettings(n_segments=10))
+    assert not direct.converged
+    assert direct.report.path_violation_m > 0.01
+    assert "enters post" in direct.report.blocking
+
+
+def test_the_direct_solver_steps_through_a_thin_wall_between_few_points_and_is_caught() -> None:
+    problem = thin_wall_problem()
+    coarse = solve_layout(problem, "direct", settings=DirectSettings(n_segments=10))
+    assert not coarse.converged
+    assert coarse.report.path_violation_m > 0.02
+    assert "enters wall" in coarse.report.blocking
+    ours = solve_layout(problem, settings=StagedSettings(n_segments=10))
+    assert ours.converged, ours.report.blocking
+    # the tip has to draw back from the wall
+    assert all(t.q[:, 1].min() < t.q[0, 1] - 0.2 for t in ours.transitions)
 
 
 def test_the_best_of_several_starts_is_never_worse_than_the_first() -> None:

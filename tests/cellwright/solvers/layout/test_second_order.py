@@ -7,9 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from cellwright.cell.built_in_robots import built_in_arm
+from cellwright.cell.harness import fixed
 from cellwright.cell.transforms import pose
 from cellwright.solvers.layout.optimiser import solve_layout
-from cellwright.solvers.layout.problem import Approach, RobotSpheres, TargetKind
+from cellwright.solvers.layout.problem import Approach, LayoutProblem, RobotSpheres, Spheres, Station, TargetKind
 from cellwright.solvers.layout.second_order import SecondOrderSettings, least_times, trapezoids
 from tests.cellwright.solvers.small_layouts import polar_arm, two_stations
 
@@ -55,6 +57,27 @@ def test_the_program_meets_the_trapezoid_bound_within_a_millisecond() -> None:
     assert exact.converged
     assert exact.cycle_time_s == pytest.approx(least, abs=1e-6)
     assert exact.report.acceleration_ratio == pytest.approx(1.0, abs=1e-6)
+
+
+@pytest.mark.parametrize("robot", ["ur10e", "ur5", "crx10ia_l", "kr180_r2500_extra", "nj290", "scara", "pr_robot"])
+def test_every_robot_without_obstacles_meets_its_trapezoid_bound_within_a_millisecond(robot: str) -> None:
+    arm = built_in_arm(robot)
+    rng = np.random.default_rng(3)
+    low, high = np.maximum(arm.lower, -1.5), np.minimum(arm.upper, 1.5)
+    places = arm.flange_pose(rng.uniform(0.8 * low + 0.2 * high, 0.2 * low + 0.8 * high, (2, arm.n_joints)))
+    target = TargetKind.POSE if arm.n_joints == 6 else TargetKind.POSITION
+    at = Approach(np.eye(4)[None], target)
+    stations = tuple(Station(name, fixed(place), Spheres(), (at,)) for name, place in zip("ab", places))
+    problem = LayoutProblem(arm, stations)
+    exact = solve_layout(problem, "second_order")
+    program = solve_layout(problem, "second_order", settings=SecondOrderSettings(trapezoids=False))
+    for solution in (exact, program):
+        assert solution.converged, solution.report.blocking
+        least = sum(
+            float(least_times(t.q[-1] - t.q[0], arm.max_velocity, arm.max_acceleration).max())
+            for t in solution.transitions
+        )
+        assert solution.cycle_time_s == pytest.approx(least, abs=1e-3)
 
 
 def test_stations_are_placed_for_accelerations() -> None:
