@@ -90,6 +90,8 @@ def paper() -> None:
 
 
 def lib(paths: list[Path], seconds: float = 60.0) -> None:
+    if importlib.util.find_spec("ortools") is None:
+        print("OR-Tools is not installed: its routing is not shown beside")
     problems = {path.stem: read_gtsplib(path) for path in paths}
     if not paths:
         problems = {

@@ -27,6 +27,14 @@ class InfeasibleError(CellwrightError):
     exit_code = 3
 
 
+class UnsafePlanError(InfeasibleError):
+    """A finished plan fails its verification; ``time_s`` is the moment of its motion, if the check has one."""
+
+    def __init__(self, message: str, time_s: float | None = None) -> None:
+        super().__init__(message)
+        self.time_s = time_s
+
+
 class SolverError(CellwrightError):
     """A numerical method stopped short; another start may work."""
 

@@ -54,6 +54,11 @@ KEYS = {
     "return_to_start": "planner.stitching.return_to_start",
     "radius_m": "planner.scan.coverage_radius",
     "T_world_part": "part.pose.position",
+    "cost": "sequencing.cost",
+    "max_motions": "sequencing.max_motions",
+    "n_steps": "sequencing.steps",
+    "target_gap": "sequencing.target_gap",
+    "payload_kg": "sequencing.payload.mass",
 }
 """The cell file's key by the field of stage parameters that it fills; one name means one key in all stages."""
 
@@ -61,7 +66,9 @@ METHODS = {"select_views": "planner.selection.method", "stitch_sweeps": "planner
 """The key of the field ``method``, the one name that two stages have."""
 
 _FIELD = re.compile(r"`(\w+)`|(?<![\w.])(\w+_\w+)(?![\w.(])|(?<![\w.])(\w+_\w+)(?=\.(?:\s|$))")
-_KEY = re.compile(r"(?<![\w./])(?:(?:robot|scanner|part|table|planner)(?:\.[a-z_]+)+|may_touch)(?![\w/]|\.\w)")
+_KEY = re.compile(
+    r"(?<![\w./])(?:(?:robot|scanner|part|table|planner|sequencing)(?:\.[a-z_]+)+|may_touch)(?![\w/]|\.\w)"
+)
 
 
 def with_keys(error: CellwrightError, cell: CellFile, stage: str = "") -> CellwrightError:
@@ -75,8 +82,7 @@ def with_keys(error: CellwrightError, cell: CellFile, stage: str = "") -> Cellwr
     if text == str(error):
         return error
     told = type(error)(text)
-    for note in getattr(error, "__notes__", ()):
-        told.add_note(note)
+    vars(told).update(vars(error))  # its notes, and the moment at which a plan fails
     return told
 
 

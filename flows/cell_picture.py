@@ -1,15 +1,16 @@
-"""Draw the cell that a cell file describes, without planning: to see whether everything stands where it was meant."""
+"""Look at the cell that a cell file describes, without planning: is everything there, and where it was meant?"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cellwright.cell.bodies import WORLD, Body, Mesh
 from cellwright.cell.part import resting_pose, top_height
 from cellwright.errors import InvalidInputError, listed
+from flows.cell_keys import with_keys
 from schemas.poses import Pose
 
 if TYPE_CHECKING:
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
     from cellwright.cell.cell import Cell
     from flows.requests import InspectionRequest
     from schemas.cell_file import CellFile
+    from schemas.overlaps import StandingOverlaps
     from schemas.part import PartMesh
     from schemas.sources import SourceFile
 
@@ -61,52 +63,94 @@ def _described(request: InspectionRequest) -> _Described:
     return _Described(files, cell, mesh, placed_part(request, mesh.vertices_m, cell.bodies))
 
 
-def _drawn(described: _Described, request: InspectionRequest) -> bytes:
+def _drawn(
+    described: _Described, request: InspectionRequest, state: FloatArray | None = None, robot_is: str = "at its start"
+) -> bytes:
     from cellwright.figures.cell_view import cell_picture
 
     shape = Mesh(described.mesh.vertices_m, described.mesh.faces)
     cell = described.cell.with_part(shape, described.T_world_part.matrix())
-    return cell_picture(cell, request.sensing.scanner.scanner())
+    if state is not None:
+        cell = replace(cell, start=state)
+    return cell_picture(cell, request.sensing.scanner.scanner(), robot_is)
 
 
-def picture_of(request: InspectionRequest) -> bytes:
+def picture_of(request: InspectionRequest, state: FloatArray | None = None, robot_is: str = "at its start") -> bytes:
     """Draw a request's cell as PNG bytes, whether or not its bodies collide; some two seconds.
+
+    Args:
+        request: What describes the cell.
+        state: Joint positions (joints,) in rad to draw the robot at; the start if left out.
+        robot_is: Where that is, for the caption.
 
     Raises:
         InvalidInputError: If part, robot or a body cannot be read or built.
     """
-    return _drawn(_described(request), request)
+    return _drawn(_described(request), request, state, robot_is)
 
 
-def _wrong(described: _Described, request: InspectionRequest) -> list[str]:
-    """Say which bodies collide at the start, or else which stand in one another."""
-    from tasks.assemble_cell import assemble_cell
-    from tasks.find_overlaps import find_overlaps
-
-    try:
-        model = assemble_cell(described.files, params=request.cell)
-    except InvalidInputError as error:
-        return [str(error)]
-    placed = request.overlaps.model_copy(update={"T_world_part": described.T_world_part})
-    return list(find_overlaps(model, described.mesh, params=placed).finding)
-
-
-def draw_cell(cell: CellFile, file: Path) -> list[str]:
-    """Draw a cell file's cell into a PNG file; return what is wrong with where its bodies stand, in words.
+def _standing(described: _Described, request: InspectionRequest) -> StandingOverlaps:
+    """Look how bodies stand, once the start is known to be free.
 
     Raises:
-        InvalidInputError: If the name does not end in .png, the file cannot be written, or the cell cannot be built.
+        InvalidInputError: If bodies collide at the start, or come closer there than the planner's clearance.
+    """
+    from cellwright.cell.scene import Scene
+    from cellwright.cell.start_check import check_start
+    from schemas.cell_objects import build_cell
+    from tasks.assemble_cell import assemble_cell, quick_cell
+    from tasks.find_overlaps import find_overlaps
+
+    T_world_part, clearance = described.T_world_part.matrix(), request.sweeps.clearance_m
+    model = quick_cell(described.files, request.cell)
+    built = build_cell(model, described.mesh, T_world_part)
+    if Scene(built, clearance).colliding_pair(built.start) is not None:
+        model = assemble_cell(described.files, params=request.cell)  # seconds, to see whether the pair may touch
+        check_start(Scene(build_cell(model, described.mesh, T_world_part), clearance), clearance)
+    placed = request.overlaps.model_copy(update={"T_world_part": described.T_world_part})
+    stands: StandingOverlaps = find_overlaps(model, described.mesh, params=placed)
+    return stands
+
+
+def check_cell(cell: CellFile, picture: Path | None = None) -> StandingOverlaps:
+    """Read all that a cell file names, look whether the robot may start there and how everything stands.
+
+    Args:
+        cell: The cell file.
+        picture: PNG file to draw the cell into, also where bodies collide at the start.
+
+    Raises:
+        InvalidInputError: If a run would refuse part, robot, a body or the start; if the picture's name does not end
+            in .png or it cannot be written.
     """
     from flows.requests import request_from
 
-    if file.suffix.lower() != ".png":
-        raise InvalidInputError(f"--picture {file}: pictures are PNG files: let the name end in .png")
-    if not file.parent.is_dir():
-        raise InvalidInputError(f"--picture {file}: there is no folder {file.parent}: make it first")
-    request = request_from(cell)
-    described = _described(request)
+    if picture is not None:
+        check_name(picture)
+    request, drawn = request_from(cell), False
     try:
-        file.write_bytes(_drawn(described, request))
+        described = _described(request)
+        if picture is not None:
+            write_picture(picture, _drawn(described, request))
+            drawn = True
+        return _standing(described, request)
+    except InvalidInputError as error:
+        told = with_keys(error, cell)
+        if drawn:
+            told.add_note(f"the cell is drawn in {picture}")
+        raise told from error
+
+
+def check_name(picture: Path) -> None:
+    if picture.suffix.lower() != ".png":
+        raise InvalidInputError(f"--picture {picture}: pictures are PNG files: let the name end in .png")
+    if not picture.parent.is_dir():
+        raise InvalidInputError(f"--picture {picture}: there is no folder {picture.parent}: make it first")
+
+
+def write_picture(picture: Path, content: bytes) -> None:
+    try:
+        picture.write_bytes(content)
     except OSError as error:
-        raise InvalidInputError(f"cannot write {file}: {error.strerror or error}: choose another --picture") from error
-    return _wrong(described, request)
+        fact = error.strerror or error
+        raise InvalidInputError(f"cannot write {picture}: {fact}: choose another --picture") from error

@@ -16,18 +16,23 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class CellSummary:
-    """A checked cell file, ready to be shown; with its picture, if it was drawn, and what that has brought to light."""
+    """A checked cell file, ready to be shown; with its picture, if it was drawn, and how everything stands."""
 
     cell: CellFile
     picture: Path | None = None
     attention: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
 
     def as_json(self) -> Mapping[str, Any]:
         """Return the whole cell, defaults filled in, in SI units."""
-        plain = {"valid": True, "file": str(self.cell.path), "cell": self.cell.model_dump(mode="json")}
-        if self.picture is None:
-            return plain
-        return {**plain, "picture": str(self.picture), "attention": list(self.attention)}
+        return {
+            "valid": True,
+            "file": str(self.cell.path),
+            "cell": self.cell.model_dump(mode="json"),
+            **({} if self.picture is None else {"picture": str(self.picture)}),
+            "attention": list(self.attention),
+            "notes": list(self.notes),
+        }
 
     def show(self, console: Console) -> None:
         """Print what stands where."""
@@ -42,11 +47,13 @@ class CellSummary:
             console.print(f"picture: {self.picture}", markup=False, highlight=False, soft_wrap=True)
         for finding in self.attention:
             console.print(f"Attention: {finding}.", markup=False, highlight=False, soft_wrap=True)
+        for note in self.notes:
+            console.print(f"Note: {note}.", markup=False, highlight=False, soft_wrap=True)
 
     def _lines(self) -> Iterator[tuple[str, str]]:
         cell = self.cell
         yield "cell", cell.name
-        yield "robot", f"{cell.robot.model} at {_place(cell.robot.base.matrix()[:3, 3])}"
+        yield "robot", f"{cell.robot.model} at {place_words(cell.robot.base.matrix()[:3, 3])}"
         standoff = cell.scanner.standoff
         yield (
             "scanner",
@@ -61,5 +68,6 @@ class CellSummary:
         yield "seed", str(cell.planner.seed)
 
 
-def _place(position_m: Any) -> str:
+def place_words(position_m: Any) -> str:
+    """Write a position (3,) in m as people do."""
     return "({}) mm".format(", ".join(f"{1e3 * value:.4g}" for value in position_m))

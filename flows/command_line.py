@@ -1,4 +1,4 @@
-"""The command line: ``cellwright inspect | validate | sweep | lake | server | examples``.
+"""The command line: ``cellwright inspect | layout | sequence | validate | sweep | lake | server | examples``.
 
 Arguments are read before anything heavy is imported, so that ``--help`` answers at once. An expected error is one
 message on standard error and an exit code by its class; an unexpected one keeps its traceback, as it is a bug.
@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from cellwright.errors import CellwrightError
+from flows import layout_command, sequence_command, spherize_command
 from flows.interrupts import FAREWELL, INTERRUPTED, leave_now_if_busy, stopping_at_interrupt
 from flows.output import (
     prepare_streams,
@@ -36,6 +37,7 @@ examples:
 
 exit codes:
   0  done
+  1  the Prefect server does not start or answer, standard output cannot be written, or a bug (with its traceback)
   2  a file, parameter or argument is malformed
   3  the question has no answer: the message says which constraint blocks it
   4  a numerical method stopped short
@@ -83,6 +85,9 @@ def parser() -> argparse.ArgumentParser:
     commands = whole.add_subparsers(title="commands", metavar="COMMAND", required=True, parser_class=Parser)
     _add_inspect(commands)
     _add_validate(commands)
+    layout_command.add_parser(commands)
+    spherize_command.add_parser(commands)
+    sequence_command.add_parser(commands)
     _add_sweep(commands)
     _add_lake(commands)
     _add_server(commands)
@@ -127,18 +132,20 @@ examples:
 def _add_validate(commands: Any) -> None:
     command = commands.add_parser(
         "validate",
-        help="check a cell file and show what it says",
-        description="Check a cell file without planning anything, and show what stands in the cell.",
+        help="check a cell file, layout file or sequence file and show what it says",
+        description="Check a file without planning anything: read all it names, look whether the robot may start "
+        "there and whether everything can stand where it is put, and show the cell. Layout files and sequence files "
+        "are told apart by what they hold.",
         epilog="examples:\n  cellwright validate cell.yaml --set part.unit=in\n"
         "  cellwright validate cell.yaml --picture cell.png\n",
     )
-    command.add_argument("cell", metavar="CELL.yaml", help="the cell file, or the name of a built-in example")
+    command.add_argument("cell", metavar="FILE.yaml", help="the file, or the name of a built-in example")
     add_set(command)
     command.add_argument(
         "--picture",
         type=Path,
         metavar="FILE.png",
-        help="draw the cell, and tell what collides at the start or overlaps",
+        help="draw the cell too, also where bodies collide at the start",
     )
     command.add_argument("--json", action="store_true", help="print the whole cell as JSON, in SI units")
     command.set_defaults(run=_validate)
@@ -226,16 +233,15 @@ def _inspect(options: argparse.Namespace) -> int:
     from flows.examples import find_cell_file
     from schemas.cell_file import load_cell_file
 
-    cell = find_cell_file(options.cell)
     overrides = [*options.overrides, *([] if options.seed is None else [f"planner.seed={options.seed}"])]
-    load_cell_file(cell, overrides)  # a mistake in it shows before a server is started
+    cell = load_cell_file(find_cell_file(options.cell), overrides)  # a mistake shows before a server is started
 
     def explain(found: Findings) -> None:
         options.findings = found
         if not options.json:
             found.show(stderr_console())
 
-    return run_flow("inspection", options, cell, overrides=overrides, explain=explain)
+    return run_flow("inspection", options, cell, explain=explain)
 
 
 def _sweep(options: argparse.Namespace) -> int:
@@ -243,19 +249,26 @@ def _sweep(options: argparse.Namespace) -> int:
 
 
 def _validate(options: argparse.Namespace) -> int:
+    from flows.caches import use_own_caches
     from flows.cell_summary import CellSummary
     from flows.examples import find_cell_file
+    from flows.file_summary import checked_layout, checked_sequence, kind_of
     from schemas.cell_file import load_cell_file
 
-    cell = load_cell_file(find_cell_file(options.cell), options.overrides)
-    if options.picture is None:
-        print_summary(CellSummary(cell), as_json=options.json)
+    path = find_cell_file(options.cell)
+    kind = kind_of(path)
+    if kind != "cell":
+        use_own_caches()
+        check = checked_sequence if kind == "sequence" else checked_layout
+        print_summary(check(path, options.overrides, options.picture), as_json=options.json)
         return 0
-    from flows.caches import use_own_caches
-    from flows.cell_picture import draw_cell
+    cell = load_cell_file(path, options.overrides)
+    from flows.cell_picture import check_cell
 
     use_own_caches()
-    print_summary(CellSummary(cell, options.picture, tuple(draw_cell(cell, options.picture))), as_json=options.json)
+    stands = check_cell(cell, options.picture)
+    summary = CellSummary(cell, options.picture, stands.attention, stands.note)
+    print_summary(summary, as_json=options.json)
     return 0
 
 

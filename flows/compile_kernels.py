@@ -30,7 +30,10 @@ def main() -> int:
 
     sys.stderr.write("compiling the numerical kernels (once, about a minute) ...\n")
     begun = time.monotonic()
-    coarse = ("planner.sampling.density=0.0008 /mm^2", "planner.refinement.rounds=1")
+    coarse = (
+        *("planner.sampling.density=0.0008 /mm^2", "planner.refinement.rounds=1"),
+        *("layout.evaluations=20", "layout.stitched=1"),
+    )
     inspection.run(find_cell_file("grooved_cylinder"), overrides=coarse, lake="memory://kernels", direct=True)
     cover_best(_strips_on_cylinder(80, 500))
     fit_spheres(box((0.1, 0.1, 0.1)), 3, generator=np.random.default_rng(0), settings=FitSettings(n_starts=1))

@@ -54,6 +54,19 @@ class Watcher(Protocol):
     def failed(self, name: str) -> None:
         """A stage raised."""
 
+    def noted(self, line: str) -> None:
+        """Something about the run itself is worth a line."""
+
+
+class Recorder(Protocol):
+    """Takes down the steps of a run; called from several threads."""
+
+    def making(self) -> None:
+        """A stage is about to be computed."""
+
+    def add(self, name: str, stage: Stage, outcome: Outcome) -> None:
+        """A step ended well."""
+
 
 class Unwatched:
     """The watcher that does nothing."""
@@ -70,6 +83,9 @@ class Unwatched:
     def failed(self, name: str) -> None:
         """Ignore it."""
 
+    def noted(self, line: str) -> None:
+        """Ignore it."""
+
 
 _UNWATCHED = Unwatched()
 
@@ -80,8 +96,8 @@ WATCHER: ContextVar[Watcher] = ContextVar("watcher", default=_UNWATCHED)
 REFRESHED: ContextVar[set[str] | None] = ContextVar("refreshed", default=None)
 """Keys that were made anew already, where several runs refresh the same stages: each is refreshed once."""
 
-RECORDER: ContextVar[Callable[[str, Stage, Outcome], None] | None] = ContextVar("recorder", default=None)
-"""Takes down each step's name, stage and outcome for the record of the run. Stays in this process like `WATCHER`."""
+RECORDER: ContextVar[Recorder | None] = ContextVar("recorder", default=None)
+"""The record of the run that the current thread works for. Stays in this process like `WATCHER`."""
 
 INTERRUPTED = threading.Event()
 """Set when the person wants the command to stop: a stage in a thread ends at its next report of progress."""
@@ -193,18 +209,28 @@ def run_in_lake(
     from flows.versions import versions
     from storage.manifests import Recipe
 
-    watcher, name, asked = WATCHER.get(), name or stage.name, time.monotonic()
+    watcher, recorder, name, asked = WATCHER.get(), RECORDER.get(), name or stage.name, time.monotonic()
     cached = True
 
     def make() -> Ref:
         nonlocal cached
         cached = False
+        if recorder is not None:
+            recorder.making()
         watcher.started(name)
         artefacts = [_loaded(lake, refs) for refs in given.values()]
-        begun = time.monotonic()
+        begun, worked = time.monotonic(), time.process_time()
         artefact = _computed(stage, artefacts, checked, name)
         seconds = round(time.monotonic() - begun, 6)
-        made = {"seconds": seconds, "host": platform.node(), "run": run_id, "versions": versions()}
+        # of the whole process: right where no other stage ran beside this one
+        cpu_seconds = round(time.process_time() - worked, 6)
+        made = {
+            "seconds": seconds,
+            "cpu_seconds": cpu_seconds,
+            "host": platform.node(),
+            "run": run_id,
+            "versions": versions(),
+        }
         return lake.publish(recipe.key, artefact, recipe, made)
 
     try:
@@ -220,8 +246,8 @@ def run_in_lake(
         raise
     outcome = Outcome(ref, cached, time.monotonic() - asked)
     watcher.finished(name, cached=cached, seconds=outcome.seconds)
-    if (record := RECORDER.get()) is not None:
-        record(name, stage, outcome)
+    if recorder is not None:
+        recorder.add(name, stage, outcome)
     return outcome
 
 

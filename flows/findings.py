@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import tasks
 from cellwright.causes import Cause
-from cellwright.errors import CellwrightError, InvalidInputError
+from cellwright.errors import CellwrightError, InvalidInputError, UnsafePlanError
 from flows.result_folder import write_files
 from schemas.references import Ref
 from tasks.explain_samples import ExplanationParams
@@ -33,8 +33,18 @@ if TYPE_CHECKING:
 _WORDS = {
     **CAUSE_WORDS,
     Cause.NOT_SELECTED: "nothing: a sweep that the robot can execute would measure it",
-    Cause.NOT_SCANNED: "nothing: a selected sweep would measure it, but the plan failed before",
+    Cause.NOT_SCANNED: "nothing: a selected sweep would measure it, but the plan ended before it was scanned",
 }
+
+_STOPPED = {
+    "read_source": "A file cannot be read.",
+    "assemble_cell": "The cell cannot be used as the cell file describes it.",
+    "preprocess_mesh": "The part's mesh cannot be used.",
+    "select_views": "No choice of sweeps measures as much of the part as is asked for.",
+    "stitch_sweeps": "The chosen sweeps cannot be joined to one motion.",
+    "verify_plan": "A plan was found, but it fails its independent verification and must not be run.",
+}
+"""What a run was stopped by, by the stage that failed."""
 
 _OF_A_PLAN = ("report.html", "plan.mcap", "trajectory.parquet", "segments.parquet", "scan.parquet")
 FILES = ("findings.html", "findings.json", "findings.png", "findings_cell.png")
@@ -53,10 +63,11 @@ class Findings:
         n_samples: Planning samples that were asked about; 0 if the run did not come so far.
         causes: Samples by what stopped them.
         collides_with: Samples that a collision stopped, by the body that stopped the most of their candidates.
-        overlaps: Bodies that stand in one another, in words.
+        overlaps: Bodies that stand in one another, and that the part would tip, in words.
         ref: The artefact that says it sample by sample.
         picture: The part, coloured by cause, as PNG bytes; empty if there is none.
         cell_picture: The whole cell as PNG bytes; empty if it could not be built.
+        failed_motion: Where a finished plan fails its verification, in words; the picture of the cell shows it.
         earlier: Files of an earlier plan that stand in the folder still.
         files: Exported files by what they are.
     """
@@ -73,6 +84,7 @@ class Findings:
     ref: Ref | None = None
     picture: bytes = b""
     cell_picture: bytes = b""
+    failed_motion: str = ""
     earlier: tuple[str, ...] = ()
     files: dict[str, Path] = field(default_factory=dict)
 
@@ -93,6 +105,7 @@ class Findings:
             "causes": self.causes,
             "collides_with": self.collides_with,
             "overlaps": list(self.overlaps),
+            "failed_motion": self.failed_motion,
             "artefact": None if self.ref is None else {"kind": self.ref.kind, "digest": self.ref.digest},
             "earlier_files": list(self.earlier),
             "files": {name: str(path) for name, path in self.files.items()},
@@ -127,6 +140,8 @@ class Findings:
             console.print(table)
         for overlap in self.overlaps:
             console.print(f"Attention: {overlap}.", soft_wrap=True, markup=False)
+        if self.failed_motion:
+            console.print(self.failed_motion, soft_wrap=True, markup=False)
         if self.ref is not None:
             console.print(f"sample by sample: cellwright lake show {self.ref}", soft_wrap=True)
         for name, path in self.files.items():
@@ -139,7 +154,8 @@ class Findings:
         rows = "\n".join(f"| {row['cause']} | {row['samples']} | {row['words']} |" for row in self.rows())
         table = f"\n\n| cause | samples | what stops them |\n|---|---:|---|\n{rows}\n" if rows else "\n"
         overlaps = "".join(f"\n\n{overlap}" for overlap in self.overlaps)
-        return f"# No plan for {self.name}\n\n{self.error}{overlaps}{table}"
+        motion = self.failed_motion and f"\n\n{self.failed_motion}"
+        return f"# No plan for {self.name}\n\n{self.error}{motion}{overlaps}{table}"
 
 
 def find_causes(step: Steps, request: InspectionRequest, lake: Lake, run_id: str, error: CellwrightError) -> Findings:
@@ -151,11 +167,15 @@ def find_causes(step: Steps, request: InspectionRequest, lake: Lake, run_id: str
     done = {record.name for record in step.done()}
     known = Findings(request.name, run_id, step.failed(error), str(error), error.exit_code)
     with noting(error, "drawing the cell"):
-        known = replace(known, cell_picture=_drawn_cell(request, done, known.stage))
+        known = _drawn_motion(known, step, request, lake, error)
+        if not known.cell_picture:
+            known = replace(known, cell_picture=_drawn_cell(request, done, known.stage))
     if "find_overlaps" in done:
         with noting(error, "looking for overlaps"):
             overlaps: Any = lake.load(_step(step, "find_overlaps").ref())
-            known = replace(known, overlaps=tuple(overlaps.finding))
+            known = replace(known, overlaps=overlaps.attention)
+    if isinstance(error, UnsafePlanError):
+        return known  # samples have nothing in their way but the motion
     names = {
         "mesh": "preprocess_mesh",
         "surroundings": "place_surroundings",
@@ -201,6 +221,32 @@ def _drawn_cell(request: InspectionRequest, done: Set[str], failed: str) -> byte
     with contextlib.suppress(InvalidInputError):  # what cannot be built cannot be seen, and is told already
         return picture_of(request)
     return b""
+
+
+def _drawn_motion(
+    known: Findings, step: Steps, request: InspectionRequest, lake: Lake, error: CellwrightError
+) -> Findings:
+    from flows.failed_motion import failed_motion
+    from schemas.motion import Trajectory
+
+    planned = step.handed_to_failed(error, Trajectory)
+    if not isinstance(error, UnsafePlanError) or planned is None:
+        return known
+    trajectory: Any = lake.load(planned.ref())
+    found = failed_motion(error, _as_planned(step, request, lake, error), trajectory)
+    return known if found is None else replace(known, failed_motion=found.where, cell_picture=found.picture)
+
+
+def _as_planned(step: Steps, request: InspectionRequest, lake: Lake, error: CellwrightError) -> InspectionRequest:
+    """Return the request with everything standing where the plan that failed has it."""
+    from flows.placement_rounds import MOVED
+    from schemas.sources import CellModel
+
+    cell, placement = step.handed_to_failed(error, CellModel), step.named("optimise_placement")
+    if cell is None or placement is None or not cell.name.endswith(MOVED):
+        return request
+    found: Any = lake.load(placement.ref())
+    return request.moved(found)
 
 
 def _counted(known: Findings, lake: Lake, ref: Ref, mesh_ref: Ref, samples_ref: Ref) -> Findings:
@@ -250,8 +296,12 @@ def export(findings: Findings, folder: Path) -> Findings:
     found = replace(findings, files=named, earlier=earlier)
     template = resources.files("flows").joinpath("templates/findings.html.j2").read_text("utf-8")
     environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined)
+    message, keys = _message_and_keys(found.error)
     page = environment.from_string(template).render(
         findings=found,
+        stopped=_STOPPED.get(found.stage, "The run ended without a plan."),
+        message=message,
+        keys=keys,
         rows=found.rows(),
         picture=base64.b64encode(found.picture).decode(),
         cell_picture=base64.b64encode(found.cell_picture).decode(),
@@ -262,14 +312,14 @@ def export(findings: Findings, folder: Path) -> Findings:
         **({FILES[2]: found.picture} if found.picture else {}),
         **({FILES[3]: found.cell_picture} if found.cell_picture else {}),
     }
-    write_files(folder, contents)
+    write_files(folder, contents, mark=FILES[1], gone=FILES)
     return found
 
 
-def remove_earlier(folder: Path) -> None:
-    """Remove the findings of an earlier run from a folder that now holds a plan."""
-    for name in FILES:
-        (folder / name).unlink(missing_ok=True)
+def _message_and_keys(error: str) -> tuple[str, str]:
+    """Part a message from the keys of the cell file that `cell_keys` writes behind it."""
+    message, begins, keys = error.rpartition(" (in ")
+    return (message, keys.removesuffix(")")) if begins and error.endswith(")") else (error, "")
 
 
 def _falling(counts: dict[str, int]) -> dict[str, int]:

@@ -22,17 +22,21 @@ from flows.execution import Unwatched, Watcher, open_lake
 from flows.findings import Findings
 from flows.inspection_export import export
 from flows.inspection_result import InspectionResult
+from flows.placed_plan import PlacedPlan, Prepared, candidates_of, prepare, scanned, stand
+from flows.placement_rounds import Hulls, better_placement, cover_with_spheres
 from flows.requests import InspectionRequest, request_from
 from flows.result_folder import prepare_folder
 from flows.runner import Step, Steps
-from flows.selection_rounds import Candidates, Choice, close_gaps, connect_sweeps
-from schemas.cell_file import load_cell_file
-from schemas.cell_objects import build_cell
+from flows.selection_rounds import Choice, close_gaps, connect_sweeps
+from flows.sequenced_plan import sequenced_plan
+from schemas.cell_file import CellFile, load_cell_file
+from schemas.cell_objects import unpacked_bodies
 from schemas.poses import Pose
 from storage.lake import Lake
 
 PLANNING_STAGES = frozenset(
     {
+        "fit_spheres",
         "sample_surface",
         "sample_viewpoints",
         "measure_samples",
@@ -42,6 +46,8 @@ PLANNING_STAGES = frozenset(
         "find_gaps",
         "extend_measurability",
         "stitch_sweeps",
+        "optimise_placement",
+        "sequence_sweeps",
     }
 )
 """What the paper's planning time is made of: everything between the mesh and the finished trajectory."""
@@ -58,7 +64,7 @@ FINDINGS: ContextVar[list[Findings] | None] = ContextVar("inspection_findings", 
 
 
 def run(
-    cell_file: Path,
+    cell_file: Path | CellFile,
     *,
     overrides: Sequence[str] = (),
     lake: str,
@@ -71,8 +77,8 @@ def run(
     """Plan, verify and report the inspection that a cell file describes.
 
     Args:
-        cell_file: The cell file.
-        overrides: Settings ``path=value`` laid over it.
+        cell_file: The cell file, or what was loaded from it.
+        overrides: Settings ``path=value`` laid over it, unless it is loaded.
         lake: Folder or address of the lake.
         refresh: Stages to compute although the lake has them.
         out: Folder for report, recording and figures; nothing is exported if left out.
@@ -87,7 +93,8 @@ def run(
         LakeError: If the lake fails.
     """
     use_own_caches()
-    cell = load_cell_file(cell_file, overrides)  # once: it may be edited while the run goes on
+    # once: it may be edited while the run goes on
+    cell = load_cell_file(cell_file, overrides) if isinstance(cell_file, Path) else cell_file
     request = request_from(cell)
     if out is not None:
         prepare_folder(out)
@@ -112,7 +119,6 @@ def run(
         _WATCHER.reset(watching)
     if out is not None:
         result.files.update(export(open_lake(lake), result, out))
-        findings.remove_earlier(out)
     return result
 
 
@@ -143,119 +149,76 @@ def plan_and_record(
     with Steps(lake_url, refresh=refresh, watcher=watcher, direct=direct, run_id=run_id, facts=facts) as step:
         try:
             steps = plan_inspection(step, request, lake)
-            return InspectionResult.of(request, lake, run_id, steps, step.records())
+            result = InspectionResult.of(request, lake, run_id, steps, step.records())
         except (InvalidInputError, InfeasibleError, SolverError) as error:
             found.append(findings.find_causes(step, request, lake, run_id, error))
             raise
+    return replace(result, notes=tuple(step.notes))
 
 
 def plan_inspection(step: Steps, request: InspectionRequest, lake: Lake) -> dict[str, Step]:
     """Chain the stages of an inspection; returns the steps by the name of what they make."""
-    part = step(tasks.read_source, request.part, label="part")
-    files = tuple(step(tasks.read_source, source, label=source.name) for source in request.cell_files)
-    cell = step(tasks.assemble_cell, request.cell, files=files)
-    mesh = step(tasks.preprocess_mesh, request.mesh, source=part)
-    cloud = step(tasks.sample_surface, request.verification_cloud, label="verification", mesh=mesh)
-    samples = step(tasks.sample_surface, request.samples, label="planning", mesh=mesh)
-    viewpoints = step(tasks.sample_viewpoints, request.viewpoints, samples=samples)
+    prepared = prepare(step, request)
+    cell = step(tasks.assemble_cell, request.cell, files=prepared.files)
+    hulls = cover_with_spheres(step, request, prepared.mesh, cell)
+    standing = stand(step, request.placed(part_pose(request, lake, prepared.mesh, cell)), prepared, cell)
+    first = Choice(step(tasks.select_views, request.cover, measurability=standing.measurable), standing.measurable)
+    candidates = candidates_of(prepared, standing)
+    choice = close_gaps(step, request, lake, candidates, first)
+    connected = connect_sweeps(step, request, lake, candidates, choice, standing.request.stitching)
+    first_plan = scanned(step, prepared, standing, choice, connected)
+    placed, compared = better_placement(step, request, lake, prepared, choice, first_plan, hulls)
+    plan, sequence = sequenced_plan(step, request, lake, prepared, first_plan, placed)
+    return _finished(step, prepared, plan, compared, sequence, hulls)
 
-    placed = {"T_world_part": part_pose(request, lake, mesh, cell)}
-    surroundings = step(tasks.place_surroundings, request.surroundings.model_copy(update=placed), cell=cell)
-    overlaps = step(tasks.find_overlaps, request.overlaps.model_copy(update=placed), cell=cell, mesh=mesh)
-    seen = step(
-        tasks.measure_samples,
-        request.sensing,
-        mesh=mesh,
-        surroundings=surroundings,
-        samples=samples,
-        viewpoints=viewpoints,
-    )
-    reachability = step(
-        tasks.follow_sweeps,
-        request.sweeps.model_copy(update=placed),
-        cell=cell,
-        mesh=mesh,
-        viewpoints=viewpoints,
-        measurability=seen,
-    )
-    measurable = step(
-        tasks.trim_measurability,
-        request.trimming,
-        samples=samples,
-        viewpoints=viewpoints,
-        measurability=seen,
-        reachability=reachability,
-    )
-    selection = step(tasks.select_views, request.cover, measurability=measurable)
-    candidates = Candidates(cell, mesh, surroundings, viewpoints, reachability)
-    choice = close_gaps(step, request, lake, candidates, Choice(selection, measurable))
-    stitching = request.stitching.model_copy(update=placed)
-    selection, trajectory = connect_sweeps(step, request, lake, candidates, choice, stitching)
-    verification = step(
-        tasks.verify_plan,
-        request.verification.model_copy(update=placed),
-        cell=cell,
-        mesh=mesh,
-        viewpoints=viewpoints,
-        reachability=reachability,
-        selection=selection,
-        trajectory=trajectory,
-    )
-    scan = step(
-        tasks.simulate_scan,
-        request.scan.model_copy(update=placed),
-        cell=cell,
-        mesh=mesh,
-        surroundings=surroundings,
-        trajectory=trajectory,
-    )
-    coverage = step(
-        tasks.measure_coverage,
-        request.coverage,
-        mesh=mesh,
-        surroundings=surroundings,
-        cloud=cloud,
-        scan=scan,
-        viewpoints=viewpoints,
-        reachability=reachability,
-        selection=selection,
-        trajectory=trajectory,
-    )
+
+def _finished(
+    step: Steps,
+    prepared: Prepared,
+    plan: PlacedPlan,
+    compared: Step | None,
+    sequence: Step | None,
+    hulls: Hulls | None,
+) -> dict[str, Step]:
+    """Verify, record and report the plan where it is to run."""
+    request, mesh = plan.standing.request, prepared.mesh
+    cell, scan, coverage = plan.standing.cell, plan.scan, plan.coverage
+    made: dict[str, Any] = {
+        "viewpoints": prepared.viewpoints,
+        "reachability": plan.standing.reachability,
+        "selection": plan.connected.selection,
+        "trajectory": plan.connected.trajectory,
+    }
+    verification = step(tasks.verify_plan, request.verification, cell=cell, mesh=mesh, **made)
     recording = step(
-        tasks.record_plan,
-        request.recording.model_copy(update=placed),
-        cell=cell,
-        mesh=mesh,
-        trajectory=trajectory,
-        scan=scan,
+        tasks.record_plan, request.recording, cell=cell, mesh=mesh, trajectory=made["trajectory"], scan=scan
     )
     report = step(
         tasks.write_report,
-        request.report.model_copy(update=placed),
+        request.report,
         mesh=mesh,
         cell=cell,
-        cloud=cloud,
-        overlaps=overlaps,
+        cloud=prepared.cloud,
+        overlaps=plan.standing.overlaps,
         coverage=coverage,
-        viewpoints=viewpoints,
-        reachability=reachability,
-        measurability=choice.measurable,
-        selection=selection,
-        trajectory=trajectory,
+        measurability=plan.measurable,
         verification=verification,
         scan=scan,
+        placement=compared,
+        sequence=sequence,
+        part_hull=hulls and hulls.part,
+        cell_hull=hulls and hulls.cell,
+        **made,
     )
     return {
         "cell": cell,
         "mesh": mesh,
-        "overlaps": overlaps,
-        "viewpoints": viewpoints,
-        "reachability": reachability,
-        "selection": selection,
-        "trajectory": trajectory,
+        "overlaps": plan.standing.overlaps,
+        **made,
         "verification": verification,
-        "scan": scan,
-        "coverage": coverage,
+        **{name: each for name, each in (("scan", scan), ("coverage", coverage)) if each is not None},
+        **{name: each for name, each in (("placement", compared), ("sequence", sequence)) if each is not None},
+        **({"part_hull": hulls.part, "cell_hull": hulls.cell} if hulls is not None else {}),
         "recording": recording,
         "report": report,
     }
@@ -271,4 +234,4 @@ def part_pose(request: InspectionRequest, lake: Lake, mesh: Step, cell: Step) ->
         return request.part_pose
     loaded: Any = lake.load(mesh.ref())
     model: Any = lake.load(cell.ref())
-    return placed_part(request, loaded.vertices_m, build_cell(model).bodies)
+    return placed_part(request, loaded.vertices_m, unpacked_bodies(model))

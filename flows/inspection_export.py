@@ -10,12 +10,9 @@ import html
 import json
 from pathlib import Path
 
-import fsspec
-
-from cellwright.errors import LakeError
+from flows.findings import FILES
 from flows.inspection_result import InspectionResult
 from flows.result_folder import write_files
-from schemas.references import Ref
 from storage.lake import Lake
 
 _RUN_MARK = "<!--RUN-->"
@@ -31,14 +28,14 @@ def export(lake: Lake, result: InspectionResult, folder: Path) -> dict[str, Path
     page = result.report.page.decode().replace(_RUN_MARK, run_section(lake, result))
     contents = {
         "report": ("report.html", page.encode()),
-        "recording (Foxglove, Rerun)": ("plan.mcap", _stored(lake, result.refs["recording"], "recording.mcap")),
-        "trajectory": ("trajectory.parquet", _stored(lake, result.refs["trajectory"], "states.parquet")),
-        "segments": ("segments.parquet", _stored(lake, result.refs["trajectory"], "segments.parquet")),
-        "scan": ("scan.parquet", _stored(lake, result.refs["scan"], "points.parquet")),
+        "recording (Foxglove, Rerun)": ("plan.mcap", lake.read(result.refs["recording"], "recording.mcap")),
+        "trajectory": ("trajectory.parquet", lake.read(result.refs["trajectory"], "states.parquet")),
+        "segments": ("segments.parquet", lake.read(result.refs["trajectory"], "segments.parquet")),
+        "scan": ("scan.parquet", lake.read(result.refs["scan"], "points.parquet")),
         "summary": ("summary.json", _summary(result)),
         **{f"figure: {name}": (f"{name}.png", picture) for name, picture in result.pictures().items()},
     }
-    write_files(folder, dict(contents.values()), mark=contents["summary"][0])
+    write_files(folder, dict(contents.values()), mark=contents["summary"][0], gone=FILES)  # no findings beside a plan
     return {what: folder / name for what, (name, _) in contents.items()}
 
 
@@ -52,7 +49,7 @@ def run_section(lake: Lake, result: InspectionResult) -> str:
     rows = "".join(
         f"<tr><td>{html.escape(record.name)}</td><td>{result.stage_seconds[record.name]:.2f}</td>"
         f"<td>{'from the lake' if record.cached else 'computed'}</td><td>{record.version}</td>"
-        f'<td class="words"><code>{record.ref.kind}/{record.ref.digest[:12]}</code></td></tr>'
+        f'<td class="words"><code>{record.ref.kind}/<wbr>{record.ref.digest[:12]}</code></td></tr>'
         for record in result.records
     )
     lines = "\n".join(
@@ -75,13 +72,3 @@ def run_section(lake: Lake, result: InspectionResult) -> str:
         f"</summary><pre>{html.escape(lines)}</pre></details></div>"
         f"<p class='lead'>Run {html.escape(result.run_id)}.</p>"
     )
-
-
-def _stored(lake: Lake, ref: Ref, name: str) -> bytes:
-    address = lake.paths(ref)[name]
-    try:
-        with fsspec.open(address, "rb") as stream:
-            content: bytes = stream.read()
-    except OSError as error:
-        raise LakeError(f"cannot read {address}: {error.strerror or error}: run again to make it anew") from error
-    return content

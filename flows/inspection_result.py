@@ -34,6 +34,7 @@ class InspectionResult:
         summary: The plan's figures, units in the names.
         report: The report's artefact.
         files: Exported files by what they are.
+        notes: What a person should know of the run itself, a lake that keeps no record of it for one.
     """
 
     name: str
@@ -44,6 +45,7 @@ class InspectionResult:
     summary: dict[str, Any]
     report: InspectionReport
     files: dict[str, Path] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
 
     @classmethod
     def of(
@@ -66,6 +68,7 @@ class InspectionResult:
             "artefacts": {name: {"kind": ref.kind, "digest": ref.digest} for name, ref in self.refs.items()},
             "steps": [record.as_json() for record in self.records],
             "files": {name: str(path) for name, path in self.files.items()},
+            **({"notes": list(self.notes)} if self.notes else {}),
         }
 
     def show(self, console: Console) -> None:
@@ -85,6 +88,8 @@ class InspectionResult:
             console.print(f"Part: {finding}", soft_wrap=True)
         for finding in self.summary["attention"]:
             console.print(f"Attention: {finding}.", soft_wrap=True, markup=False)
+        for note in self.summary["notes"]:
+            console.print(f"Note: {note}.", soft_wrap=True)
         cached = sum(record.cached for record in self.records)
         console.print(f"Stages: {len(self.records) - cached} computed, {cached} from the lake.")
         for name, path in self.files.items():
@@ -101,6 +106,8 @@ class InspectionResult:
             ("selected sweeps", f"{figures['sweeps']} ({cover_words(figures)}; greedy {figures['greedy_sweeps']})"),
             ("median uncertainty", "–" if median is None else f"{1e6 * median:.1f} µm"),
             ("cycle time", f"{figures['duration_s']:.2f} s ({figures['scanning_s']:.2f} s scanning)"),
+            *([("placement", _placement_words(figures["placement"]))] if "placement" in figures else []),
+            *([("sequence", _sequence_words(figures["sequencing"]))] if "sequencing" in figures else []),
             *((f"order: {name}", f"{seconds:.2f} s") for name, seconds in figures["orders_s"].items()),
             *([("order: lower bound", _order_words(figures))] if figures["order_lower_bound_s"] > 0.0 else []),
             ("scan points", f"{figures['scan_points']:,}"),
@@ -133,6 +140,24 @@ class InspectionResult:
 def _order_words(figures: Mapping[str, Any]) -> str:
     proven = " (proven shortest)" if figures["order_proven_shortest"] else ""
     return f"{figures['order_lower_bound_s']:.2f} s over the connections found{proven}"
+
+
+def _placement_words(placement: Mapping[str, Any]) -> str:
+    before, after = placement["cycle_before_s"], placement["cycle_after_s"]
+    if not placement["moved"]:
+        return f"kept, no better one of {placement['designs_judged']:,} judged"
+    return f"{placement['moves']} moved, {placement['words']}: {before:.2f} s before ({after / before - 1.0:+.1%})"
+
+
+def _sequence_words(sequencing: Mapping[str, Any]) -> str:
+    by = "time" if sequencing["cost"] == "time" else "optimal control"
+    if not sequencing["taken"]:
+        return f"as stitched: {by} found none that costs less"
+    stitched, found = (sequencing["plans"][sequencing[which]] for which in ("stitched", "name"))
+    words = f"by {by}, cost {stitched['cost']:.2f} before, now {found['cost']:.2f}"
+    if found["work_j"] is None or stitched["work_j"] is None:
+        return words
+    return f"{words}; work {stitched['work_j']:,.0f} J before, now {found['work_j']:,.0f} J"
 
 
 def _overlap_row(overlap: Mapping[str, Any]) -> tuple[str, str]:

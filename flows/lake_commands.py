@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from storage.manifests import Manifest
 
 _MOST_FACT_LETTERS = 200
+_SHORT_RUN = 8
+"""Letters of a run's id that a terminal shows."""
 
 
 def run(
@@ -91,22 +93,46 @@ def _runs(lake: Lake, as_json: bool) -> int:
         unread = f", but {len(broken)} records cannot be read" if broken else ""
         sys.stdout.write(f"no run is recorded in {lake.url}{unread}\n")
         return 0
+    if sys.stdout.isatty():
+        _print_short_runs(records)
+        return 0
     table = _table("run", "flow", "cell", "last heard of (UTC)", "state", "computed", "cached", "why")
     for record in records:
-        steps = [step for step in record.get("steps", ()) if isinstance(step, dict)]
-        n_cached = sum(bool(step.get("cached")) for step in steps)
+        n_steps, n_cached = _step_counts(record)
         table.add_row(
             str(record["run_id"]),
-            str(record.get("flow", "")),
-            str(record.get("cell", "")),
-            str(record["recorded_at"])[:19].replace("T", " "),
-            str(record["state"]),
-            str(len(steps) - n_cached),
+            *_run_words(record),
+            str(n_steps - n_cached),
             str(n_cached),
-            str(record.get("error", "")),
+            " ".join(str(record.get("error", "")).split()),
         )
     print_table(table)
     return 0
+
+
+def _print_short_runs(records: list[dict[str, Any]]) -> None:
+    """Print runs as a terminal of 80 columns has room for them; the reasons of those that failed stand below."""
+    table = _table("run", "flow", "cell", "last heard of", "state", "computed")
+    for record in records:
+        n_steps, n_cached = _step_counts(record)
+        flow, cell, heard, state = _run_words(record)
+        computed = f"{n_steps - n_cached} of {n_steps}"
+        table.add_row(str(record["run_id"])[:_SHORT_RUN], flow, cell, heard[:16], state, computed)
+    print_table(table)
+    for record in records:
+        if record.get("error"):
+            sys.stdout.write(f"{str(record['run_id'])[:_SHORT_RUN]}: {record['error']}\n")
+
+
+def _run_words(record: dict[str, Any]) -> tuple[str, str, str, str]:
+    heard = str(record["recorded_at"])[:19].replace("T", " ")
+    return str(record.get("flow", "")), str(record.get("cell", "")), heard, str(record["state"])
+
+
+def _step_counts(record: dict[str, Any]) -> tuple[int, int]:
+    """Return how many steps a run had, and how many of them the lake had."""
+    steps = [step for step in record.get("steps", ()) if isinstance(step, dict)]
+    return len(steps), sum(bool(step.get("cached")) for step in steps)
 
 
 def _show(lake: Lake, subject: str, as_json: bool) -> int:
@@ -134,7 +160,7 @@ def _show(lake: Lake, subject: str, as_json: bool) -> int:
     for name, digest in manifest.about.input_digests():
         head.add_row(f"input {name}", digest)
     for name, value in manifest.about.params.items():
-        head.add_row(f"param {name}", json.dumps(value))
+        head.add_row(f"param {name}", _shortened(json.dumps(value)))
     for name, value in _facts(artefact).items():
         head.add_row(f"fact {name}", str(value))
     for name, path in lake.paths(ref).items():
@@ -312,13 +338,14 @@ def _collisions(artefact: Artefact) -> dict[str, int]:
 
 
 def _findings(artefact: Artefact) -> list[str]:
-    """Return what an artefact has to say in words: of a part's mesh, of overlaps, of sweeps that a plan leaves out."""
+    """Return what an artefact has to say in words: of a part's mesh, of what stands where, of sweeps left out."""
     aside = [
         f"view {view} is {what}: {reason}"
         for what, name in (("left out", "left_out"), ("replaced by others", "replaced"))
         for view, reason in zip(getattr(artefact, f"{name}_view", ()), getattr(artefact, f"{name}_reason", ()))
     ]
-    return [*getattr(artefact, "finding", ()), *aside]
+    words = [text for name in ("finding", "tipping", "note") for text in getattr(artefact, name, ())]
+    return [*words, *aside]
 
 
 def _table(*columns: str) -> Table:
@@ -328,6 +355,13 @@ def _table(*columns: str) -> Table:
     for column in columns:
         table.add_column(column, overflow="fold")
     return table
+
+
+def _shortened(text: str) -> str:
+    """Return a text as a terminal has room for it; `--json` and pipes have all of it."""
+    if not sys.stdout.isatty() or len(text) <= _MOST_FACT_LETTERS:
+        return text
+    return f"{text[:_MOST_FACT_LETTERS]}... ({len(text)} letters; --json shows all)"
 
 
 def _size(n_bytes: int) -> str:

@@ -27,7 +27,10 @@ NOT_WRITTEN = 1
 _FAILURES = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EFBIG, errno.EBADF)
 
 _PIPE_WIDTH = 1000
-"""Columns of a pipe or file: rows are not folded there, so that other programs can read them."""
+"""Columns of a pipe or file for what is no table."""
+
+_WIDEST = 1_000_000
+"""Columns of a pipe or file for tables: their rows are not folded there, so that other programs can read them."""
 
 
 def prepare_streams() -> None:
@@ -93,8 +96,15 @@ def stderr_console() -> Console:
 
 
 def print_table(table: Table) -> None:
-    """Print a table on standard output."""
-    stdout_console().print(table)
+    """Print a table on standard output: folded to a terminal's width, a whole row a line where something else reads."""
+    if sys.stdout.isatty():
+        stdout_console().print(table)
+        return
+    from rich.console import Console
+
+    wide = Console(file=io.StringIO(), width=_WIDEST, markup=False, highlight=False, emoji=False)
+    rendered = wide.render_lines(table, pad=False)
+    sys.stdout.writelines("".join(segment.text for segment in line).rstrip() + "\n" for line in rendered)
 
 
 def _console(stream: TextIO) -> Console:

@@ -1,17 +1,25 @@
-"""Show the stages of a run on standard error: live bars in a terminal, one line a stage otherwise, nothing if asked."""
+"""Show the stages of a run on standard error: live bars in a terminal, lines otherwise, nothing if asked."""
 
 from __future__ import annotations
 
 import contextlib
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, TextIO
 
 from flows.execution import Unwatched, Watcher
 
 if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
+
+FIRST_WORD_S = 5.0
+"""A log hears of a stage that is still under way after this time,"""
+
+NEXT_WORD_S = 10.0
+"""and then again each time that this has passed: who watches a build's log wants to know that it lives."""
 
 
 @contextlib.contextmanager
@@ -30,15 +38,47 @@ def stage_progress(*, quiet: bool, stream: TextIO | None = None) -> Iterator[tup
             yield shown
     else:
         plain = PlainProgress(stream)
-        yield plain, plain.say
+        with plain.telling():
+            yield plain, plain.say
 
 
 class PlainProgress:
-    """One line for each stage that ends: for logs and pipes."""
+    """One line for each stage that ends, and one now and then while it lasts: for logs and pipes."""
 
-    def __init__(self, stream: TextIO) -> None:
+    def __init__(self, stream: TextIO, first_word_s: float = FIRST_WORD_S, next_word_s: float = NEXT_WORD_S) -> None:
         self._stream = stream
         self._lock = threading.Lock()
+        self._first_word_s, self._next_word_s = first_word_s, next_word_s
+        self._under_way: dict[str, _UnderWay] = {}
+
+    @contextlib.contextmanager
+    def telling(self) -> Iterator[None]:
+        """Tell of stages that take long, inside the block."""
+        ended = threading.Event()
+        period = min(self._first_word_s, self._next_word_s) / 10
+
+        def tell() -> None:
+            while not ended.wait(period):
+                for line in self._due(time.monotonic()):
+                    self.say(line)
+
+        thread = threading.Thread(target=tell, name="progress", daemon=True)
+        thread.start()
+        try:
+            yield
+        finally:
+            ended.set()
+            thread.join()
+
+    def _due(self, now: float) -> list[str]:
+        lines = []
+        with self._lock:
+            for name, stage in self._under_way.items():
+                if now >= stage.next_word:
+                    stage.next_word = now + self._next_word_s
+                    share = f", {stage.share:.0%} done" if stage.share > 0.0 else ""
+                    lines.append(f"{name}: under way for {now - stage.begun:.0f} s{share}")
+        return lines
 
     def say(self, line: str) -> None:
         """Write one line."""
@@ -47,18 +87,43 @@ class PlainProgress:
             self._stream.flush()
 
     def started(self, name: str) -> None:
-        """Say nothing: the line comes with the end."""
+        """Say nothing yet: most stages are done before a line of them would be read."""
+        now = time.monotonic()
+        with self._lock:
+            self._under_way[name] = _UnderWay(now, now + self._first_word_s)
 
     def advanced(self, name: str, share: float) -> None:
-        """Say nothing."""
+        """Keep it for the next line."""
+        with self._lock:
+            if (stage := self._under_way.get(name)) is not None:
+                stage.share = min(max(share, 0.0), 1.0)
 
     def finished(self, name: str, *, cached: bool, seconds: float) -> None:
         """Say what the stage cost."""
+        self._forget(name)
         self.say(_ending(name, cached, seconds))
 
     def failed(self, name: str) -> None:
         """Say that it failed; the error itself comes at the end of the command."""
+        self._forget(name)
         self.say(f"{name}: failed")
+
+    def _forget(self, name: str) -> None:
+        with self._lock:
+            self._under_way.pop(name, None)
+
+    def noted(self, line: str) -> None:
+        """Say it."""
+        self.say(line)
+
+
+@dataclass
+class _UnderWay:
+    """A stage that is computed: when it began, when a line is due, what share of it is done."""
+
+    begun: float
+    next_word: float
+    share: float = 0.0
 
 
 class LiveProgress:
@@ -93,6 +158,10 @@ class LiveProgress:
         """Turn the bar into a line."""
         self._close(name)
         self.say(f"{name}: failed")
+
+    def noted(self, line: str) -> None:
+        """Say it."""
+        self.say(line)
 
     def _close(self, name: str) -> None:
         with self._lock:

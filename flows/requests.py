@@ -13,17 +13,24 @@ from cellwright.cell.part import METRES_PER_UNIT
 from cellwright.cell.urdf_geometry import mesh_references, resolve_mesh
 from cellwright.errors import InvalidInputError, listed
 from schemas.body_params import BodyParams, BoxBody, CapsuleBody, CylinderBody, MeshBody, SphereBody
-from schemas.cell_file import CellFile, load_cell_file
+from schemas.cell_file import CellFile, RobotSection, load_cell_file
 from schemas.cell_file_fields import BodySection
+from schemas.cell_file_layout import carried_bodies, layout_harness
+from schemas.cell_file_planner import PlannerSection
+from schemas.layout_params import HarnessParams
+from schemas.placement import Placement
 from schemas.poses import Pose
 from schemas.scanner import SensingParams
 from tasks.assemble_cell import CellModelParams
+from tasks.compare_placements import ComparisonParams
 from tasks.extend_measurability import ExtensionParams
 from tasks.find_gaps import GapParams
 from tasks.find_overlaps import OverlapParams
+from tasks.fit_spheres import SphereParams
 from tasks.follow_sweeps import SweepParams
 from tasks.measure_coverage import CoverageParams
 from tasks.measure_samples import MeasurabilityParams
+from tasks.optimise_placement import PlacementParams
 from tasks.place_surroundings import SurroundingsParams
 from tasks.preprocess_mesh import MeshParams
 from tasks.read_source import SourceParams
@@ -31,14 +38,25 @@ from tasks.record_plan import RecordingParams
 from tasks.sample_surface import SurfaceParams
 from tasks.sample_viewpoints import ViewpointParams
 from tasks.select_views import SetCoverParams
+from tasks.sequence_sweeps import SweepSequenceParams
 from tasks.simulate_scan import ScanParams
 from tasks.stitch_sweeps import StitchParams
+from tasks.take_sequence import TakenSequenceParams
 from tasks.trim_measurability import TrimParams
 from tasks.verify_plan import VerifyParams
 from tasks.write_report import ReportParams, template_digest
 
 _SEED_STEP = 1_000_003
 """Apart the seeds of the three clouds, so that none of them repeats another's random numbers."""
+
+_PLACED = ("surroundings", "overlaps", "sweeps", "stitching", "verification", "scan", "recording", "report")
+"""Settings that hold the pose of the part."""
+
+_HULL_STARTS = 2
+"""Starts of each fit of spheres: further ones gain a few percent of volume and take as long again."""
+
+_THINNEST = 0.05
+"""Thickness over length below which a box gets no spheres."""
 
 _FEWEST_SAMPLES = 50
 """So that a part of a few millimetres has candidates on each of its faces, whatever the density says."""
@@ -70,11 +88,39 @@ class InspectionRequest(BaseModel):
     gaps: GapParams
     extension: ExtensionParams
     stitching: StitchParams
+    placement: PlacementParams | None = Field(default=None, description="What may be moved; nothing if left out.")
+    part_hull: SphereParams | None = Field(default=None, description="Spheres of the part; only for a layout.")
+    cell_hull: SphereParams | None = Field(default=None, description="Spheres of the cell's bodies, for the same.")
+    comparison: ComparisonParams = ComparisonParams()
+    sequencing: SweepSequenceParams | None = Field(
+        default=None, description="By which cost the sweeps are sequenced; as stitched if left out."
+    )
+    taken_sequence: TakenSequenceParams = TakenSequenceParams()
     verification: VerifyParams
     scan: ScanParams
     coverage: CoverageParams
     recording: RecordingParams = RecordingParams()
     report: ReportParams
+
+    def placed(self, T_world_part: Pose) -> InspectionRequest:
+        """Return the request with the part standing at a pose, said to every stage that has to know."""
+        update = {"T_world_part": T_world_part}
+        stages = {name: getattr(self, name).model_copy(update=update) for name in _PLACED}
+        return self.model_copy(update=stages)
+
+    def moved(self, placement: Placement) -> InspectionRequest:
+        """Return the request with part, carried bodies and robot's base where a placement has them."""
+        D = placement.T_world_motion
+        bodies = tuple(
+            body.model_copy(update={"pose": Pose.of(D @ body.pose.matrix())})
+            if body.name in placement.carried
+            else body
+            for body in self.cell.bodies
+        )
+        base = Pose.of(placement.T_world_base) if placement.moves == "robot" else self.cell.T_world_base
+        cell = self.cell.model_copy(update={"bodies": bodies, "T_world_base": base})
+        pose = Pose.of(placement.T_world_part)
+        return self.placed(pose).model_copy(update={"cell": cell, "part_pose": pose, "rests_on": None})
 
 
 def request_of(path: Path, overrides: Sequence[str] = ()) -> InspectionRequest:
@@ -109,6 +155,7 @@ def _request(file: CellFile) -> InspectionRequest:
     shared = sensing.model_dump()
     reach, density = planner.reachability, planner.sampling.density_per_m2
     cell_files, cell = _cell(file)
+    sweeps, stitching = _sweeps(planner), _stitching(planner)
     return InspectionRequest(
         name=file.name,
         part=SourceParams.of(file.part.file),
@@ -143,13 +190,7 @@ def _request(file: CellFile) -> InspectionRequest:
             psi_tilt_rad=planner.viewpoints.psi_tilt_rad,
         ),
         sensing=MeasurabilityParams(**shared),
-        sweeps=SweepParams(
-            step_m=reach.step_m,
-            margin_m=reach.margin_m,
-            shortest_m=reach.shortest_m,
-            scan_speed_m_s=reach.scan_speed_m_s,
-            clearance_m=reach.clearance_m,
-        ),
+        sweeps=sweeps,
         cover=SetCoverParams(
             method=planner.selection.method,
             min_coverage=planner.selection.min_coverage,
@@ -160,20 +201,13 @@ def _request(file: CellFile) -> InspectionRequest:
         ),
         gaps=GapParams(**shared),
         extension=ExtensionParams(**shared),
-        stitching=StitchParams(
-            method=planner.stitching.method,
-            exact_up_to=planner.stitching.exact_up_to,
-            max_connections=planner.stitching.max_connections,
-            roadmap_nodes=planner.stitching.roadmap_nodes,
-            neighbours=planner.stitching.neighbours,
-            step_rad=planner.stitching.step_rad,
-            max_alternatives=planner.stitching.max_alternatives,
-            tool_acceleration_m_s2=planner.stitching.tool_acceleration_m_s2,
-            return_to_start=planner.stitching.return_to_start,
-            clearance_m=reach.clearance_m,
-            scan_speed_m_s=reach.scan_speed_m_s,
-            seed=planner.seed,
-        ),
+        stitching=stitching,
+        placement=_placement(file, sweeps, stitching),
+        sequencing=_sequencing(file, stitching),
+        part_hull=None if file.layout is None else _hull(file, planner.hulls.part_spheres),
+        cell_hull=None
+        if file.layout is None
+        else _hull(file, planner.hulls.body_spheres, dict.fromkeys(_plates(cell), 0)),
         verification=VerifyParams(
             scan_speed_m_s=reach.scan_speed_m_s,
             tool_acceleration_m_s2=planner.stitching.tool_acceleration_m_s2,
@@ -191,10 +225,95 @@ def _request(file: CellFile) -> InspectionRequest:
     )
 
 
+def _sweeps(planner: PlannerSection) -> SweepParams:
+    reach = planner.reachability
+    return SweepParams(
+        step_m=reach.step_m,
+        margin_m=reach.margin_m,
+        shortest_m=reach.shortest_m,
+        scan_speed_m_s=reach.scan_speed_m_s,
+        clearance_m=reach.clearance_m,
+    )
+
+
+def _stitching(planner: PlannerSection) -> StitchParams:
+    reach = planner.reachability
+    return StitchParams(
+        method=planner.stitching.method,
+        exact_up_to=planner.stitching.exact_up_to,
+        max_connections=planner.stitching.max_connections,
+        roadmap_nodes=planner.stitching.roadmap_nodes,
+        neighbours=planner.stitching.neighbours,
+        step_rad=planner.stitching.step_rad,
+        max_alternatives=planner.stitching.max_alternatives,
+        tool_acceleration_m_s2=planner.stitching.tool_acceleration_m_s2,
+        return_to_start=planner.stitching.return_to_start,
+        clearance_m=reach.clearance_m,
+        scan_speed_m_s=reach.scan_speed_m_s,
+        seed=planner.seed,
+    )
+
+
+def _placement(file: CellFile, sweeps: SweepParams, stitching: StitchParams) -> PlacementParams | None:
+    layout = file.layout
+    if layout is None:
+        return None
+    return PlacementParams(
+        moves=layout.move,
+        harness=HarnessParams.of(layout_harness(file)),
+        carries=carried_bodies(file),
+        sweeps=sweeps,
+        stitching=stitching,
+        n_evaluations=layout.evaluations,
+        n_stitched=layout.stitched,
+        seed=file.planner.seed,
+    )
+
+
+def _hull(file: CellFile, n_spheres: int, n_spheres_of: dict[str, int] | None = None) -> SphereParams:
+    return SphereParams(
+        n_spheres=n_spheres, n_spheres_of=n_spheres_of or {}, n_starts=_HULL_STARTS, seed=file.planner.seed
+    )
+
+
+def _plates(cell: CellModelParams) -> list[str]:
+    """Return boxes as thin as floors and walls: few spheres would be as thick as those are long."""
+    boxes = [body for body in cell.bodies if isinstance(body, BoxBody)]
+    return [box.name for box in boxes if min(box.size_m) < _THINNEST * max(box.size_m)]
+
+
+def _sequencing(file: CellFile, stitching: StitchParams) -> SweepSequenceParams | None:
+    section = file.sequencing
+    if section is None:
+        return None
+    weights, payload = section.weights, section.payload
+    return SweepSequenceParams(
+        cost=section.cost,
+        weight_time_per_s=weights.time_per_s,
+        weight_torque_per_n2m2s=weights.torque_per_n2m2s,
+        weight_speed_s_per_rad2=weights.speed_s_per_rad2,
+        payload_kg=payload.mass_kg,
+        payload_centre_m=payload.centre_m or _housing_centre(file),
+        n_steps=section.steps,
+        max_motions=section.max_motions,
+        target_gap=section.target_gap,
+        stitching=stitching,
+    )
+
+
+def _housing_centre(file: CellFile) -> tuple[float, float, float]:
+    """Return the middle of the scanner's housing on the flange; the flange's own origin without housing."""
+    middles = [body.pose.pose().position_m for body in file.scanner.housing]
+    if not middles:
+        return (0.0, 0.0, 0.0)
+    x, y, z = (math.fsum(each) / len(middles) for each in zip(*middles))
+    return (x, y, z)
+
+
 def _cell(file: CellFile) -> tuple[tuple[SourceParams, ...], CellModelParams]:
     """Return the files that the cell is made of, each once, and how it is put together."""
     sources: dict[str, SourceParams] = {}
-    robot = file.robot.model if file.robot.urdf is None else _add_urdf(file, sources)
+    robot = file.robot.model if file.robot.urdf is None else add_urdf(file.robot, sources)
     params = CellModelParams(
         robot=robot,
         robot_sha256=built_in_digest(robot) if file.robot.urdf is None else "",
@@ -202,8 +321,8 @@ def _cell(file: CellFile) -> tuple[tuple[SourceParams, ...], CellModelParams]:
         flange_link=file.robot.flange_link,
         T_world_base=file.robot.base.pose(),
         T_flange_scanner=file.scanner.mount.pose(),
-        housing=tuple(_body(body, sources) for body in file.scanner.housing),
-        bodies=tuple(_body(body, sources) for body in file.bodies()),
+        housing=tuple(body_params(body, sources) for body in file.scanner.housing),
+        bodies=tuple(body_params(body, sources) for body in file.bodies()),
         start_rad=file.robot.start_rad,
         lower_rad=file.robot.lower_rad,
         upper_rad=file.robot.upper_rad,
@@ -214,8 +333,13 @@ def _cell(file: CellFile) -> tuple[tuple[SourceParams, ...], CellModelParams]:
     return tuple(sources.values()), params
 
 
-def _add_urdf(file: CellFile, sources: dict[str, SourceParams]) -> str:
-    urdf = Path(file.robot.model)
+def add_urdf(robot: RobotSection, sources: dict[str, SourceParams]) -> str:
+    """Add a robot's URDF and the meshes that it names to the files of a cell; return the URDF's name among them.
+
+    Raises:
+        InvalidInputError: If one of them is malformed or missing, or two meshes have one name.
+    """
+    urdf = Path(robot.model)
     source = SourceParams.of(urdf)
     sources[source.name] = source
     try:
@@ -224,7 +348,7 @@ def _add_urdf(file: CellFile, sources: dict[str, SourceParams]) -> str:
         raise InvalidInputError(f"{urdf} is not a URDF: it is not text in UTF-8") from error
     try:
         references = mesh_references(text)
-        meshes = [resolve_mesh(reference, urdf.parent, file.robot.packages) for reference in references]
+        meshes = [resolve_mesh(reference, urdf.parent, robot.packages) for reference in references]
     except InvalidInputError as error:
         raise InvalidInputError(f"{urdf}: {error}") from error
     for path in meshes:
@@ -235,7 +359,12 @@ def _add_urdf(file: CellFile, sources: dict[str, SourceParams]) -> str:
     return source.name
 
 
-def _body(body: BodySection, sources: dict[str, SourceParams]) -> BodyParams:
+def body_params(body: BodySection, sources: dict[str, SourceParams]) -> BodyParams:
+    """Return a body as `assemble_cell` takes it; the file of a mesh is added to those of the cell.
+
+    Raises:
+        InvalidInputError: If it has no shape, or its file is missing.
+    """
     pose = body.pose.pose()
     if body.box is not None:
         return BoxBody(name=body.name, pose=pose, size_m=body.box.size_m)

@@ -9,41 +9,52 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Iterable, Mapping
+import platform
+import re
+from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
 
 from cellwright.errors import InvalidInputError
 
+_HOST = re.sub(r"[^A-Za-z0-9.]", "_", platform.node())[:80]
+_BESIDE = re.compile(rf"\.cellwright-{re.escape(_HOST)}-(\d+)-")
+"""Files of this machine that wait beside their places, with the process that wrote them."""
+
 
 def prepare_folder(folder: Path) -> None:
-    """Make a folder and try whether files can be written into it.
+    """Make a folder, try whether files can be written into it, and clear away what killed processes left there.
 
     Raises:
         InvalidInputError: If not.
     """
-    probe = folder / f".cellwright.{os.getpid()}"
+    probe = _beside(folder, "probe")
     try:
         folder.mkdir(parents=True, exist_ok=True)
         probe.write_bytes(b"")
         probe.unlink()
+        left = [path for path in folder.iterdir() if (found := _BESIDE.match(path.name)) and _is_dead(int(found[1]))]
     except OSError as error:
         raise _refusal(folder, error) from error
+    _remove(left)
 
 
-def write_files(folder: Path, contents: Mapping[str, bytes], *, mark: str | None = None) -> None:
+def write_files(
+    folder: Path, contents: Mapping[str, bytes], *, mark: str | None = None, gone: Collection[str] = ()
+) -> None:
     """Write files by their names into a folder, made if it is not there.
 
     Args:
         folder: The folder.
         contents: What to write, by file name.
         mark: The file that stands only beside all the others of the same call; ``None``: the last one.
+        gone: Files of earlier calls that must not stand beside these; a folder of such a name is none of ours.
 
     Raises:
         InvalidInputError: If the folder cannot be written; the error names the file that is in the way.
     """
     last = mark or list(contents)[-1]
     names = [*(name for name in contents if name != last), last]
-    beside = {name: folder / f".{name}.{os.getpid()}" for name in names}
+    beside = {name: _beside(folder, name) for name in names}
     at = folder
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -56,6 +67,9 @@ def write_files(folder: Path, contents: Mapping[str, bytes], *, mark: str | None
                 )
             beside[name].write_bytes(contents[name])
         (folder / last).unlink(missing_ok=True)
+        for at in (folder / name for name in gone if name not in beside):
+            if not at.is_dir():
+                at.unlink(missing_ok=True)
         for name in names:
             at = folder / name
             beside[name].replace(at)
@@ -63,6 +77,20 @@ def write_files(folder: Path, contents: Mapping[str, bytes], *, mark: str | None
         raise _refusal(at, error) from error
     finally:
         _remove(beside.values())
+
+
+def _beside(folder: Path, name: str) -> Path:
+    return folder / f".cellwright-{_HOST}-{os.getpid()}-{name}"
+
+
+def _is_dead(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return True
+    except (OSError, OverflowError):
+        pass  # somebody else's, or no number of a process
+    return False
 
 
 def _remove(paths: Iterable[Path]) -> None:

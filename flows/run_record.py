@@ -68,16 +68,32 @@ class RunRecord:
         self._facts = dict(facts)
         self._steps: dict[str, StepRecord] = {}
         self._state: dict[str, str] = {"state": "running"}
+        self._unwritten = False  # the lake has refused the first word of this run, and every one since
         self._lock = threading.Lock()
 
     def begin(self) -> None:
         """Write down that the run has begun, and where.
 
-        Raises:
-            LakeError: If the lake cannot be written.
+        A lake that refuses it may still answer: where it has everything that the run asks for, nothing need be
+        written. `making` and `finish` try again.
         """
         self._facts |= {"host": platform.node(), "process": os.getpid(), "process_started": _start_of(os.getpid())}
-        self._write()
+        with self._lock:
+            try:
+                self._write()
+            except LakeError:
+                self._unwritten = True
+
+    def making(self) -> None:
+        """Make sure that the run is on record before something is computed whose result could not be kept.
+
+        Raises:
+            LakeError: If the lake still cannot be written.
+        """
+        with self._lock:
+            if self._unwritten:
+                self._write()
+                self._unwritten = False
 
     def add(self, name: str, stage: Stage, outcome: Outcome) -> None:
         """Take down a step that ended well; the record is written again if the step cost something.
@@ -101,16 +117,22 @@ class RunRecord:
         with self._lock:
             return list(self._steps.values())
 
-    def finish(self, steps: Sequence[StepRecord]) -> None:
-        """Write down that the run is done, with all its steps.
+    def finish(self, steps: Sequence[StepRecord]) -> LakeError | None:
+        """Write down that the run is done, with all its steps; return why it is not on record at all, if so.
 
         Raises:
-            LakeError: If the lake cannot be written.
+            LakeError: If the lake has taken the run's beginning but not its end.
         """
         with self._lock:
             self._steps = {step.name: step for step in steps}
             self._state = {"state": "finished"}
-            self._write()
+            try:
+                self._write()
+            except LakeError as error:
+                if not self._unwritten:
+                    raise
+                return error
+            return None
 
     def fail(self, error: BaseException, step: str = "") -> None:
         """Write down how the run ended; a lake that cannot be written must not hide the error that ended it."""

@@ -33,6 +33,7 @@ from flows.execution import (
     validated_params,
 )
 from flows.run_record import RunRecord, StepRecord
+from schemas.artefact import Artefact
 from schemas.params import Params
 from schemas.references import Ref
 from schemas.stage import Stage
@@ -106,7 +107,6 @@ class Steps:
 
     Raises:
         InvalidInputError: If ``refresh`` names a stage that does not exist.
-        LakeError: If the lake cannot be written.
     """
 
     def __init__(
@@ -129,6 +129,8 @@ class Steps:
         self._record = RunRecord(open_lake(lake_url) if run_id else None, run_id, facts or {})
         self._steps: dict[str, Step] = {}
         self._refused: list[Step] = []
+        self.notes: list[str] = []
+        """What a person should know of the run itself, once it is left."""
 
     def __enter__(self) -> Self:
         self._record.begin()
@@ -143,7 +145,9 @@ class Steps:
             except BaseException as failure:
                 self._record.fail(failure, self.failed(failure))
                 raise
-            self._record.finish(records)
+            if (refusal := self._record.finish(records)) is not None:
+                self.notes.append(f"this run is not on record, so a sweep of the lake does not know of it: {refusal}")
+                self._watcher.noted(f"warning: {self.notes[-1]}")
         else:
             self._record.fail(error, self.failed(error))
 
@@ -154,6 +158,11 @@ class Steps:
     def failed(self, error: BaseException) -> str:
         """Return the name of the step that raised an error, empty if it came from none."""
         return next((each.name for each in (*self._steps.values(), *self._refused) if each._failure is error), "")
+
+    def handed_to_failed(self, error: BaseException, artefact: type[Artefact]) -> Step | None:
+        """Return the step that made the artefact of a class for the step that raised an error, if there is one."""
+        failed = (each for each in (*self._steps.values(), *self._refused) if each._failure is error)
+        return next((one for each in failed for one in each._upstream if one.stage.output is artefact), None)
 
     def done(self) -> list[StepRecord]:
         """Return what is known to have ended well so far, whatever became of the rest."""
@@ -218,7 +227,7 @@ class Steps:
 
     @contextlib.contextmanager
     def _listening(self) -> Iterator[None]:
-        watching, recording = WATCHER.set(self._watcher), RECORDER.set(self._record.add)
+        watching, recording = WATCHER.set(self._watcher), RECORDER.set(self._record)
         try:
             yield
         finally:

@@ -6,7 +6,7 @@ A later round is not always better than an earlier one, so both keep the best of
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -34,10 +34,20 @@ class Candidates:
 
 @dataclass(frozen=True)
 class Choice:
-    """A selection, and the measurability that it was made from."""
+    """A selection, the measurability that it was made from, and the gaps in ``cloud`` that went into that, in order."""
 
     selection: Step
     measurable: Step
+    gaps: tuple[Step, ...] = ()
+    cloud: Step | None = None
+
+
+class Connected(NamedTuple):
+    """A selection, its trajectory, and the earlier trajectory whose left-out views it does without."""
+
+    selection: Step
+    trajectory: Step
+    earlier: Step | None = None
 
 
 def close_gaps(step: Steps, request: InspectionRequest, lake: Lake, candidates: Candidates, choice: Choice) -> Choice:
@@ -81,8 +91,9 @@ def close_gaps(step: Steps, request: InspectionRequest, lake: Lake, candidates: 
             gaps=gaps,
             measurability=choice.measurable,
         )
-        choice = Choice(step(tasks.select_views, request.cover, label=label, measurability=measurable), measurable)
+        selection = step(tasks.select_views, request.cover, label=label, measurability=measurable)
         earlier = (*earlier, gaps)
+        choice = Choice(selection, measurable, earlier, cloud)
     return best
 
 
@@ -93,7 +104,7 @@ def connect_sweeps(
     candidates: Candidates,
     choice: Choice,
     stitching: StitchParams,
-) -> tuple[Step, Step]:
+) -> Connected:
     """Stitch the selected sweeps; select again without those that had to be left out, for some rounds.
 
     Returns the selection and its trajectory of the round whose executed sweeps measure the most samples; of several
@@ -102,7 +113,8 @@ def connect_sweeps(
     """
     selection, measurable = choice.selection, choice.measurable
     earlier: Step | None = None
-    best, most = None, (-1, 0)
+    best: Connected | None = None
+    most = -1, 0
     for number in range(RESELECTIONS + 1):
         label = f"round {number + 1}" if number else ""
         if number:
@@ -128,13 +140,13 @@ def connect_sweeps(
         found: Any = lake.load(trajectory.ref())
         n_left_out = len(found.left_out_view)
         if number == 0 and n_left_out == 0:
-            return selection, trajectory
+            return Connected(selection, trajectory)
         entries: Any = lake.load(measurable.ref())
         reached = int(covered_samples(entries, found).sum()), -n_left_out
         if best is None or reached > most:
-            best, most = (selection, trajectory), reached
+            best, most = Connected(selection, trajectory, earlier), reached
         is_spent = most[0] > 0 and np.isin(entries.view, list(unconnected_views(found))).all()
         if n_left_out == 0 or is_spent:
             break
         earlier = trajectory
-    return best or (selection, trajectory)
+    return best or Connected(selection, trajectory, earlier)

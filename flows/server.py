@@ -120,7 +120,9 @@ def connected(say: Say) -> Iterator[str]:
         url = start(say).api_url
     except ServerError as error:
         raise ServerError(f"{error}; or run without a server: --direct") from error
+    import fastapi.encoders  # noqa: F401  # Prefect imports it when a flow begins: start-up, and no part of the run
     import httpx
+    from prefect import flow, task  # noqa: F401  # they too
     from prefect.events.worker import EventsWorker
     from prefect.logging.handlers import APILogWorker
     from prefect.settings import (

@@ -1,4 +1,4 @@
-"""Run a study: one inspection for each point of a grid, one table, and the pictures.
+"""Run a study: one flow for each point of a grid, one table, and the pictures.
 
 Runs share every stage that does not differ, through the lake; the seconds in the table are those of the run that
 computed the stage, whenever that was. A run without a solution is a row with its message, not the end of the study.
@@ -8,14 +8,15 @@ from __future__ import annotations
 
 import re
 import time
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cellwright.errors import InfeasibleError, SolverError
+from flows import layout_study, sequence_study
 from flows.examples import find_cell_file
-from flows.execution import REFRESHED, Watcher
+from flows.execution import REFRESHED, Watcher, open_lake
 from flows.result_folder import prepare_folder, write_files
 from schemas.inspection_summary import METRICS
 from schemas.study_file import GridPoint, StudyFile, grid, load_study_file
@@ -47,6 +48,16 @@ class StudyResult:
         """Print the table's main columns, what had no solution, and the paths."""
         from rich.table import Table
 
+        if self.study.flow == "layout":
+            layout_study.show(self.study, self.rows, console)
+            for name, path in self.files.items():
+                console.print(f"{name}: {path}", soft_wrap=True)
+            return
+        if self.study.flow == "sequence":
+            sequence_study.show(self.study, self.rows, console)
+            for name, path in self.files.items():
+                console.print(f"{name}: {path}", soft_wrap=True)
+            return
         table = Table(title=self.study.name, title_justify="left")
         for axis in self.study.axes:
             table.add_column(axis)
@@ -87,13 +98,11 @@ def run(
             nothing runs then.
         LakeError: If the lake fails.
     """
-    from schemas.cell_file import load_cell_file
-
     study = load_study_file(study_path)
     cell = _cell_file(study)
     points = grid(study)
     for point in points:
-        load_cell_file(cell, point.overrides)
+        _check(study, cell, point)
     folder = out or Path(study_path.stem)
     prepare_folder(folder)
     token = REFRESHED.set(set())  # what several runs share is refreshed once
@@ -103,14 +112,33 @@ def run(
             name = f"run {number} of {len(points)} ({', '.join(point.point.values())})"
             watcher.started(name)
             begun = time.monotonic()
-            rows.append(_row(cell, point, lake, refresh, watcher, direct))
+            run_point = _ROWS.get(study.flow, _row)
+            rows.append(run_point(cell, point, lake, refresh, watcher, direct))
             if rows[-1]["error"]:
                 watcher.failed(name)
             else:
                 watcher.finished(name, cached=False, seconds=time.monotonic() - begun)
     finally:
         REFRESHED.reset(token)
-    return StudyResult(study, rows, _write(study, rows, folder))
+    attempts = [row.pop(layout_study.ATTEMPT, None) for row in rows]
+    return StudyResult(study, rows, _write(study, rows, folder, attempts, lake))
+
+
+_ROWS = {"layout": layout_study.row, "sequence": sequence_study.row}
+"""What makes a row, where it is no inspection."""
+
+
+def _check(study: StudyFile, cell: Path, point: GridPoint) -> None:
+    from schemas.cell_file import load_cell_file
+    from schemas.layout_file import load_layout_file
+    from schemas.sequence_file import load_sequence_file
+
+    if study.flow == "sequence":
+        load_sequence_file(cell, point.overrides)
+    elif study.flow == "layout":
+        load_layout_file(cell, point.overrides)
+    else:
+        load_cell_file(cell, point.overrides)
 
 
 def _cell_file(study: StudyFile) -> Path:
@@ -136,7 +164,13 @@ def _row(
     return {**row, **figures, "planning_s": planning, **{f"{name} [s]": spent for name, spent in seconds.items()}}
 
 
-def _write(study: StudyFile, rows: list[dict[str, Any]], folder: Path) -> dict[str, Path]:
+def _write(
+    study: StudyFile,
+    rows: list[dict[str, Any]],
+    folder: Path,
+    attempts: Sequence[layout_study.Attempt | None],
+    lake: str,
+) -> dict[str, Path]:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
@@ -147,11 +181,28 @@ def _write(study: StudyFile, rows: list[dict[str, Any]], folder: Path) -> dict[s
     pq.write_table(pa.table({name: [row.get(name) for row in rows] for name in columns}), table)
     names, contents = {"table": "table.parquet"}, {"table.parquet": table.getvalue().to_pybytes()}
     axes = {axis: list(points) for axis, points in study.axes.items()}
+    if study.flow == "layout":
+        names["summary"] = "summary.md"
+        contents["summary.md"] = layout_study.summary_page(study, rows).encode()
+    if study.flow == "sequence":
+        names["summary"] = "summary.md"
+        contents["summary.md"] = sequence_study.summary_page(study, rows).encode()
+        parts = sequence_study.parts_picture(study, rows)
+        if parts is not None:
+            names["weighted cost in parts"], contents["parts.png"] = "parts.png", parts
     for number, figure in enumerate(study.figures, 1):
         name = f"figure_{number}_{re.sub('[^a-z0-9_]+', '_', figure.y).strip('_')}.png"
         names[figure.title] = name
+        if figure.kind == "from_above":
+            name = f"figure_{number}_from_above.png"
+            names[figure.title] = name
+            contents[name] = layout_study.from_above(study, figure, rows, attempts, open_lake(lake))
+            continue
+        if figure.kind != "lines":
+            contents[name] = layout_study.drawn(study, figure, rows)
+            continue
         contents[name] = study_chart(
-            [row for row in rows if not row["error"]],
+            rows if study.flow == "layout" else [row for row in rows if not row["error"]],
             study.published,
             axes,
             title=figure.title,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import os
+import time
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -78,37 +79,48 @@ def add_run_options(command: argparse.ArgumentParser) -> None:
 def run_flow(module: str, options: argparse.Namespace, *arguments: Any, **keywords: Any) -> int:
     """Run ``flows.<module>.run`` with progress, and a server unless ``--direct``; print its summary and return 0.
 
+    With the summary goes the time that the run took, apart from the start-up before it: the imports, the cell file,
+    finding the server (or starting it).
+
     Raises:
         CellwrightError: What the flow raises; also if ``--refresh`` names no stage or the server does not start.
     """
     from importlib import import_module
 
     from flows import server
-    from flows.execution import stage_named
+    from flows.execution import open_lake, stage_named
     from flows.progress import stage_progress
 
     for name in options.refresh:
         stage_named(name)
+    lake = lake_of(options)
+    open_lake(lake)  # an address that cannot be one shows before a server is started
     with (
         stage_progress(quiet=options.json) as (watcher, say),
         contextlib.nullcontext() if options.direct else server.connected(say),
     ):
-        summary: Summary = import_module(f"flows.{module}").run(
+        run = import_module(f"flows.{module}").run
+        import_module("storage.parquet")  # each run reads tables: start-up, as all imports
+        begun = time.monotonic()
+        summary: Summary = run(
             *arguments,
             **keywords,
-            lake=lake_of(options),
+            lake=lake,
             refresh=frozenset(options.refresh),
             out=options.out,
             watcher=watcher,
             direct=options.direct,
         )
-    print_summary(summary, as_json=options.json)
+    took_s = time.monotonic() - begun  # with handing the records over to the server
+    print_summary(summary, as_json=options.json, took_s=took_s)
     return 0
 
 
-def print_summary(summary: Summary, *, as_json: bool) -> None:
-    """Print a summary for a person, or as JSON."""
+def print_summary(summary: Summary, *, as_json: bool, took_s: float | None = None) -> None:
+    """Print a summary for a person, or as JSON; with the time that the run took, if there was one."""
     if as_json:
-        write_json(summary.as_json())
-    else:
-        summary.show(stdout_console())
+        write_json({**summary.as_json(), **({} if took_s is None else {"took_s": round(took_s, 3)})})
+        return
+    summary.show(stdout_console())
+    if took_s is not None:
+        stdout_console().print(f"The run took {took_s:.1f} s, start-up apart.")

@@ -17,6 +17,7 @@ from pydantic import BeforeValidator, Field, PrivateAttr, ValidationError, Valid
 from cellwright.arrays import FloatArray
 from cellwright.cell.built_in_robots import BUILT_IN
 from cellwright.cell.cell import PART
+from cellwright.errors import InvalidInputError
 from schemas.cell_file_document import Document, Location, apply_overrides, read_document
 from schemas.cell_file_fields import (
     Angle,
@@ -42,9 +43,11 @@ from schemas.cell_file_fields import (
     fault,
     resolved,
 )
+from schemas.cell_file_layout import LayoutSection, layout_faults
 from schemas.cell_file_messages import did_you_mean, faults_of, refusal
 from schemas.cell_file_planner import PlannerSection
 from schemas.cell_file_robot import robot_faults
+from schemas.cell_file_sequencing import SequencingSection
 from schemas.scanner import ScannerParams
 
 FORMAT = 1
@@ -244,6 +247,12 @@ class CellFile(Section):
     may_touch: tuple[tuple[Text, Text], ...] = Field(
         default=(), description="Pairs of bodies or links, by name, that may touch each other."
     )
+    layout: LayoutSection | None = Field(
+        default=None, description="What may be moved to shorten the cycle; nothing if left out."
+    )
+    sequencing: SequencingSection | None = Field(
+        default=None, description="By which cost the sweeps are sequenced; as they were stitched if left out."
+    )
     planner: PlannerSection = Field(default=PlannerSection(), description="How the planner works.")
 
     @property
@@ -279,6 +288,16 @@ def load_cell_file(path: Path | str, overrides: Sequence[str] = ()) -> CellFile:
         raise refusal(
             document, [(("cellwright",), f"{version!r} is another version: this release reads cellwright: {FORMAT}")]
         )
+    if "tasks" in document.data and "scanner" not in document.data:
+        raise InvalidInputError(
+            f"{document.path} lists tasks at poses, not an inspection: run cellwright sequence {document.path}, or "
+            "write a file without tasks"
+        )
+    if "stations" in document.data and "part" not in document.data:
+        raise InvalidInputError(
+            f"{document.path} describes a cell layout, not an inspection: run cellwright layout {document.path}, "
+            "or write a file with a part"
+        )
     data: dict[str, Any] = {"name": document.path.stem, **document.data}
     try:
         cell = CellFile.model_validate(data, context={"folder": document.path.parent})
@@ -301,6 +320,7 @@ def _disagreements(cell: CellFile, document: Document) -> list[tuple[Location, s
             faults.append(((*where, "position"), "has 2 entries but needs 3: write [x, y, z]"))
     faults += _part_faults(cell)
     faults += _standoff_faults(cell)
+    faults += layout_faults(cell)
     seen: dict[str, Location] = {}
     for location, body in _located_bodies(cell):
         if body.name == PART:

@@ -97,17 +97,21 @@ Incidence = Annotated[float, Quantity(quantities.ANGLE, above=0.0, most=math.rad
 SmallAngle = Annotated[float, Quantity(quantities.ANGLE, least=math.radians(0.05), most=math.radians(10.0))]
 Aperture = Annotated[float, Quantity(quantities.ANGLE, above=0.0, most=math.radians(170.0))]
 Tilt = Annotated[float, Quantity(quantities.ANGLE, least=math.radians(-89.0), most=math.radians(89.0))]
-Duration = Annotated[float, Quantity(quantities.TIME, above=0.0)]
-# slower than these, a plan takes hours and its states no longer fit into memory
-Speed = Annotated[float, Quantity(quantities.SPEED, least=1e-3)]
-Acceleration = Annotated[float, Quantity(quantities.ACCELERATION, least=1e-3)]
-AngularSpeed = Annotated[float, Quantity(quantities.ANGULAR_SPEED, least=math.radians(0.1))]
-AngularAcceleration = Annotated[float, Quantity(quantities.ANGULAR_ACCELERATION, least=math.radians(0.1))]
+Duration = Annotated[float, Quantity(quantities.TIME, above=0.0, most=7 * 86_400.0)]
+# slower than these, a plan takes hours and its states no longer fit into memory; no robot is faster, and squares of
+# what is far beyond overflow
+Speed = Annotated[float, Quantity(quantities.SPEED, least=1e-3, most=100.0)]
+Acceleration = Annotated[float, Quantity(quantities.ACCELERATION, least=1e-3, most=1e4)]
+AngularSpeed = Annotated[float, Quantity(quantities.ANGULAR_SPEED, least=math.radians(0.1), most=math.radians(1e5))]
+AngularAcceleration = Annotated[
+    float, Quantity(quantities.ANGULAR_ACCELERATION, least=math.radians(0.1), most=math.radians(1e7))
+]
 Frequency = Annotated[float, Quantity(quantities.FREQUENCY, above=0.0, most=1e6)]
 # a sample for each square of 10 um: finer than any scanner, and beyond what can be handled on the smallest part
 Density = Annotated[float, Quantity(quantities.AREAL_DENSITY, above=0.0, most=1e10)]
 Share = Annotated[float, Quantity(quantities.SHARE, above=0.0, most=1.0)]
-Factor = Annotated[float, Quantity(quantities.NUMBER, above=0.0)]
+# a nanosecond each: twelve days
+Work = Annotated[float, Quantity(quantities.NUMBER, above=0.0, most=1e15)]
 Scale = Annotated[float, Quantity(quantities.NUMBER, above=0.0, most=1e9)]
 DensityFactor = Annotated[float, Quantity(quantities.NUMBER, above=0.0, most=1e6)]
 Number = Annotated[float, Quantity(quantities.NUMBER)]

@@ -18,7 +18,6 @@ from schemas.cell_file_fields import (
     Density,
     DensityFactor,
     Duration,
-    Factor,
     NonNegativeLength,
     PositiveLength,
     PositiveUncertainty,
@@ -30,6 +29,7 @@ from schemas.cell_file_fields import (
     Text,
     Tilt,
     WholeNumber,
+    Work,
     fault,
 )
 from schemas.scanner import ScannerParams
@@ -155,12 +155,11 @@ class SelectionSection(Section):
         default="best",
         description="Own search with branch and bound, the paper's greedy, or the integer program by HiGHS.",
     )
-    max_work: Factor = Field(
-        default=6e9, description="Work of `best`: matrix entries visited, about a nanosecond each."
-    )
+    max_work: Work = Field(default=6e9, description="Work of `best`: matrix entries visited, about a nanosecond each.")
     node_limit: WholeNumber | None = Field(
         default=None,
         ge=1,
+        le=10**9,
         description="Most nodes of branch and bound; if left out `exact` takes 1000, or its time limit.",
     )
     time_limit_s: Duration | None = Field(
@@ -188,7 +187,7 @@ class StitchingSection(Section):
     )
     exact_up_to: WholeNumber = Field(default=15, ge=1, le=18, description="Most sweeps for the exact order.")
     max_connections: WholeNumber = Field(
-        default=1000, ge=1, description="Connections that the search for the best order may evaluate."
+        default=1000, ge=1, le=1_000_000, description="Connections that the search for the best order may evaluate."
     )
     roadmap_nodes: WholeNumber = Field(default=1000, ge=0, le=100_000, description="Configurations in the roadmap.")
     neighbours: WholeNumber = Field(default=12, ge=1, le=200, description="Roadmap neighbours of a configuration.")
@@ -202,6 +201,15 @@ class StitchingSection(Section):
         default=1.0, alias="tool_acceleration", description="Acceleration of the scanner on a sweep."
     )
     return_to_start: bool = Field(default=False, description="Whether the plan ends in the start configuration.")
+
+
+class HullsSection(Section):
+    """With how many spheres are bodies covered where a layout is optimised? Nothing else uses them."""
+
+    part_spheres: WholeNumber = Field(default=20, ge=1, le=200, description="Spheres of the part.")
+    body_spheres: WholeNumber = Field(
+        default=6, ge=1, le=200, description="Spheres of each link, of the scanner's housing and of each other body."
+    )
 
 
 class ScanSection(Section):
@@ -236,6 +244,7 @@ class PlannerSection(Section):
     reachability: ReachabilitySection = Field(default=ReachabilitySection(), description="What the robot can execute.")
     selection: SelectionSection = Field(default=SelectionSection(), description="Which sweeps are executed.")
     stitching: StitchingSection = Field(default=StitchingSection(), description="How sweeps are connected.")
+    hulls: HullsSection = Field(default=HullsSection(), description="Hulls of spheres, where there is a layout.")
     scan: ScanSection = Field(default=ScanSection(), description="How the scan is simulated.")
     report: ReportSection = Field(default=ReportSection(), description="What the report says.")
 

@@ -115,10 +115,18 @@ def _arm_faults(section: RobotSection, tree: UrdfTree, text: str) -> Faults:
         )
     except InvalidInputError as error:
         return [_limit_fault(section, str(error))]
-    fault = reach_fault(robot)
+    fault = reach_fault(robot) or _singular_fault(section, robot)
     if fault is not None:
         return [(("robot", "model"), _of_file(section, fault))]
     return list(_start_faults(section, robot, None if entry is None else entry.home))
+
+
+def _singular_fault(section: RobotSection, robot: Robot) -> str | None:
+    if section.urdf is None:
+        return None  # known to be none of those, which saves loading a compiler
+    from cellwright.cell.dependent_axes import singular_fault
+
+    return singular_fault(robot.chain)
 
 
 def _count_faults(section: RobotSection, n_joints: int) -> Faults:

@@ -79,7 +79,8 @@ def summarise(
         **_coverage_figures(coverage),
         **_verification_figures(verification),
     }
-    return {**summary, "attention": _attention(summary)}
+    tipping, notes = (list(overlaps.tipping), list(overlaps.note)) if overlaps else ([], [])
+    return {**summary, "attention": [*_attention(summary), *tipping], "notes": notes}
 
 
 def _attention(summary: dict[str, Any]) -> list[str]:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from cellwright.arrays import BoolArray, FloatArray
+from cellwright.arrays import AnyArray, BoolArray, FloatArray
 from cellwright.causes import Cause
 from cellwright.cell.transforms import rotation_from_quaternion
 from schemas.motion import Trajectory
@@ -16,6 +16,12 @@ from schemas.views import Coverage, Viewpoints
 
 _OFF_SURFACE = 0.002
 """How far the points of the 3D view stand off the surface, as a share of the part's diagonal."""
+
+_LIGHT = np.array([0.55, 0.35, 0.76])
+"""Where the light of the 3D view comes from: a unit vector in the frame of the part."""
+
+_SHADES = 9
+"""The brightest shade of a point; the darkest is 0."""
 
 
 def scene_json(
@@ -42,13 +48,15 @@ def scene_json(
         of_cause: BoolArray = coverage.cause == cause
         if not of_cause.any():
             continue
-        points = shown[of_cause][:: stride_missed if cause else stride]
+        rows = np.flatnonzero(of_cause)[:: stride_missed if cause else stride]
         clouds.append(
             {
                 "name": "measured" if cause is Cause.NONE else cause.label,
                 "colour": CAUSE_COLOURS[cause],
                 "missed": bool(cause),
-                **_xyz(points),
+                "shade": np.rint(_SHADES * (0.5 + 0.5 * cloud.normals[rows] @ _LIGHT)).astype(int).tolist(),
+                "uncertainty": [] if cause else _micrometres(coverage.uncertainty_m[rows]),
+                **_xyz(shown[rows]),
             }
         )
     i, j, k = mesh.faces.T.tolist()
@@ -61,7 +69,7 @@ def scene_json(
 
 
 def _sweep_lines(viewpoints: Viewpoints, trajectory: Trajectory) -> dict[str, list[Any]]:
-    lines: dict[str, list[Any]] = {"x": [], "y": [], "z": [], "text": []}
+    lines: dict[str, list[Any]] = {"x": [], "y": [], "z": [], "text": [], "hover": []}
     number = 0
     for segment, kind in enumerate(trajectory.kind):
         if kind != "sweep":
@@ -74,7 +82,14 @@ def _sweep_lines(viewpoints: Viewpoints, trajectory: Trajectory) -> dict[str, li
         for axis, values in _xyz(ends).items():
             lines[axis] += [*values, None]
         lines["text"] += [str(number), "", ""]
+        lasted = trajectory.end_s[segment] - trajectory.start_s[segment]
+        length = 1e3 * abs(travel[1] - travel[0])
+        lines["hover"] += [f"sweep {number}: {length:.0f} mm in {lasted:.2f} s"] * 3
     return lines
+
+
+def _micrometres(lengths: AnyArray) -> list[float | None]:
+    return [round(1e6 * length, 1) if np.isfinite(length) else None for length in lengths.tolist()]
 
 
 def _xyz(points: FloatArray) -> dict[str, list[float]]:

@@ -199,6 +199,19 @@ class Lake:
         manifest = self.manifest(ref)
         return {name: self.place.address(f"{manifest.folder}/{name}") for name in manifest.files}
 
+    def read(self, ref: Ref, name: str) -> bytes:
+        """Return one of an artefact's files as it was published; one that does not match is set aside as by `load`.
+
+        Raises:
+            LakeError: If the artefact or the file is not there, cannot be read, or does not match its SHA-256.
+        """
+        manifest = self.manifest(ref)
+        content = self._read_file(manifest, name)
+        try:
+            return self._checked_file(manifest, name, content)
+        except LakeError as error:
+            raise self._damaged(manifest, error) from error
+
     def resolve(self, text: str) -> Ref:
         """Find the artefact that a person means, see `storage.lineage.resolve`."""
         return tracing.resolve(self, text)

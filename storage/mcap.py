@@ -230,7 +230,16 @@ def _frames(recording: Recording, channel: Any) -> Iterator[_Message]:
 
 
 def _scene(recording: Recording, channel: Any) -> Iterator[_Message]:
-    from foxglove.messages import Color, Point3, SceneEntity, SceneUpdate, TriangleListPrimitive
+    from foxglove.messages import (
+        Color,
+        Point3,
+        Pose,
+        Quaternion,
+        SceneEntity,
+        SceneUpdate,
+        TriangleListPrimitive,
+        Vector3,
+    )
 
     if not recording.entity:
         return
@@ -245,7 +254,9 @@ def _scene(recording: Recording, channel: Any) -> Iterator[_Message]:
     for name, frame, (r, g, b, a), first, n_faces in bodies:
         corners = recording.triangle_m[first : first + n_faces].reshape(-1, 3).tolist()
         points = [Point3(x=x, y=y, z=z) for x, y, z in corners]
-        triangles = TriangleListPrimitive(points=points, color=Color(r=r, g=g, b=b, a=a))
+        # viewers need not take a missing pose for none
+        pose = Pose(position=Vector3(x=0.0, y=0.0, z=0.0), orientation=Quaternion(x=0.0, y=0.0, z=0.0, w=1.0))
+        triangles = TriangleListPrimitive(pose=pose, points=points, color=Color(r=r, g=g, b=b, a=a))
         entities.append(
             SceneEntity(timestamp=_stamp(0), frame_id=frame, id=name, frame_locked=True, triangles=[triangles])
         )
@@ -254,19 +265,28 @@ def _scene(recording: Recording, channel: Any) -> Iterator[_Message]:
 
 
 def _scan(recording: Recording, channel: Any) -> Iterator[_Message]:
-    from foxglove.messages import PackedElementField, PackedElementFieldNumericType, PointCloud
+    from foxglove.messages import (
+        PackedElementField,
+        PackedElementFieldNumericType,
+        PointCloud,
+        Pose,
+        Quaternion,
+        Vector3,
+    )
 
     float32 = PackedElementFieldNumericType.Float32
     fields = [
         PackedElementField(name=name, offset=4 * i, type=float32)
         for i, name in enumerate(("x", "y", "z", "uncertainty"))
     ]
+    pose = Pose(position=Vector3(x=0.0, y=0.0, z=0.0), orientation=Quaternion(x=0.0, y=0.0, z=0.0, w=1.0))
     points = np.zeros(len(recording.cloud_time_ns), _CLOUD)
     points["point"], points["uncertainty"] = recording.cloud_point_m, recording.cloud_uncertainty_m
     for time_ns, rows in _runs(recording.cloud_time_ns):
         message = PointCloud(
             timestamp=_stamp(time_ns),
             frame_id=SCAN_FRAME,
+            pose=pose,
             point_stride=_CLOUD.itemsize,
             fields=fields,
             data=points[rows].tobytes(),

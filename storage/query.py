@@ -12,6 +12,7 @@ locked to the files that the views name.
 
 from __future__ import annotations
 
+import difflib
 import json
 import re
 from typing import TYPE_CHECKING, Any
@@ -30,6 +31,8 @@ if TYPE_CHECKING:
     from storage.lake import Lake
 
 _ALL = re.compile(r"\b(show|summarize|information_schema|duckdb_\w+|pragma\w*)\b", re.IGNORECASE)
+_NO_TABLE = re.compile(r"Table with name (\S+) does not exist")
+_MOST_NEAR = 4
 _EXPLAIN = re.compile(r"\s*explain(\s+analyze\b|\s*\([^()]*\))?", re.IGNORECASE)
 
 _MANIFESTS = pa.schema(
@@ -76,7 +79,21 @@ def query(lake: Lake, sql: str) -> Any:
                 "then run again to make it anew"
             ) from error
         except duckdb.Error as error:
-            raise InvalidInputError(f"SQL: {error}; tables: {', '.join(names(manifests))}") from error
+            raise InvalidInputError(f"SQL: {_explained(str(error), names(manifests))}") from error
+
+
+def _explained(fault: str, tables: list[str]) -> str:
+    """Return DuckDB's words with the nearest of our tables in place of its own guess, and where all are listed."""
+    all_of_them = f'"SHOW TABLES" lists all {len(tables)} tables, "FROM fields" their columns'
+    unknown = _NO_TABLE.search(fault)
+    if unknown is None:
+        return f"{fault}\n{all_of_them}"  # DuckDB shows the statement with a mark under it
+    asked = unknown[1].lower()
+    within = [name for name in tables if asked in name or name in asked]
+    near = [*difflib.get_close_matches(asked, tables, n=_MOST_NEAR), *within]
+    near = list(dict.fromkeys(near))[:_MOST_NEAR]
+    guess = f"did you mean {', '.join(near)}? " if near else ""
+    return f"there is no table {unknown[1]!r}: {guess}{all_of_them}"
 
 
 def _require_reading(connection: Any, sql: str) -> None:

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from cellwright.arrays import FloatArray
     from cellwright.cell.bodies import Body, Shape
     from cellwright.cell.cell import Cell
+    from cellwright.cell.ignored_pairs import IgnoredPairs
     from cellwright.cell.robot import Robot
 
 JointValues = tuple[float, ...] | dict[str, float]
@@ -68,22 +69,47 @@ def assemble_cell(
         InvalidInputError: If the robot is unknown or its URDF malformed, a file is missing or unreadable, names
             are not unique, the start is outside the joint limits, or bodies collide there.
     """
+    from cellwright.cell.ignored_pairs import N_SAMPLES
+
+    cell, ignored = _with_ignored(files, params, N_SAMPLES, progress)
+    _check_start(replace(cell, ignored_pairs=ignored.pairs))
+    return _model(cell, ignored)
+
+
+def quick_cell(files: tuple[SourceFile, ...], params: CellModelParams) -> CellModel:
+    """Return the cell without trying which pairs never touch or always do, and without a look at its start.
+
+    What does not collide in it does not in the model of `assemble_cell` either.
+
+    Raises:
+        InvalidInputError: As `assemble_cell`, but for collisions.
+    """
+    return _model(*_with_ignored(files, params, 0, no_progress))
+
+
+def _with_ignored(
+    files: tuple[SourceFile, ...], params: CellModelParams, n_samples: int, progress: Progress
+) -> tuple[Cell, IgnoredPairs]:
     import numpy as np
 
     from cellwright.cell.ignored_pairs import ignored_pairs
-    from schemas.cell_objects import packed_bodies
 
     cell, n_links, touching = _unchecked(files, params)
-    robot, bodies = cell.robot, cell.bodies
     ignored = ignored_pairs(
         cell,
         range(n_links),
         np.random.default_rng(params.seed),
-        declared=_declared((*params.ignored_pairs, *touching), [body.name for body in bodies]),
+        declared=_declared((*params.ignored_pairs, *touching), [body.name for body in cell.bodies]),
+        n_samples=n_samples,
         progress=progress,
     )
-    _check_start(replace(cell, ignored_pairs=ignored.pairs))
-    chain = robot.chain
+    return cell, ignored
+
+
+def _model(cell: Cell, ignored: IgnoredPairs) -> CellModel:
+    from schemas.cell_objects import packed_bodies
+
+    robot, chain = cell.robot, cell.robot.chain
     return CellModel(
         urdf=robot.urdf,
         base_link=robot.base_link,
@@ -98,7 +124,7 @@ def assemble_cell(
         start_rad=cell.start,
         ignored_pair=ignored.pairs,
         ignored_reason=ignored.reason,
-        **packed_bodies(bodies),
+        **packed_bodies(cell.bodies),
     )
 
 

@@ -7,6 +7,8 @@ that any branch reached, and for collisions the body that was in the way of most
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from pydantic import Field
 
 from schemas.params import Params
@@ -15,6 +17,9 @@ from schemas.poses import Pose
 from schemas.sources import CellModel
 from schemas.stage import Progress, no_progress, stage
 from schemas.views import Measurability, Reachability, Viewpoints
+
+if TYPE_CHECKING:
+    from cellwright.solvers.sweeps.poses import FollowSettings
 
 
 class SweepParams(Params):
@@ -31,6 +36,19 @@ class SweepParams(Params):
         ge=0,
         description="Most states on which the exact collision engine is asked where the fast filter does not decide.",
     )
+
+    def settings(self) -> FollowSettings:
+        """Return the settings as the library takes them."""
+        from cellwright.solvers.sweeps.poses import FollowSettings
+
+        return FollowSettings(
+            margin=self.margin_m,
+            step=self.step_m,
+            scan_speed=self.scan_speed_m_s,
+            shortest=self.shortest_m,
+            clearance=self.clearance_m,
+            max_exact_checks=self.max_exact_checks,
+        )
 
 
 @stage(version=2)
@@ -50,9 +68,8 @@ def follow_sweeps(
             configuration collides.
     """
     from cellwright.cell.scene import Scene
-    from cellwright.errors import InvalidInputError
+    from cellwright.cell.start_check import check_start
     from cellwright.solvers.sweeps.following import follow_sweeps as follow
-    from cellwright.solvers.sweeps.poses import FollowSettings
     from schemas.cell_objects import build_cell
     from schemas.reach_objects import reachability_of, sweeps_to_follow
 
@@ -60,24 +77,11 @@ def follow_sweeps(
     built = build_cell(cell, mesh, T_world_part)
     sweeps = sweeps_to_follow(viewpoints, measurability, T_world_part)
     scene = Scene(built, params.clearance_m)
-    touching = scene.colliding_pair(built.start)
-    if touching is not None:  # said before the long search instead of after it
-        raise InvalidInputError(
-            f"the start configuration brings {touching[0]} and {touching[1]} closer than "
-            f"{params.clearance_m * 1e3:.4g} mm: choose another start_rad, move the part, or lower "
-            "clearance_m"
-        )
+    check_start(scene, params.clearance_m)  # said before the long search instead of after it
     followed = follow(
         built,
         sweeps,
-        settings=FollowSettings(
-            margin=params.margin_m,
-            step=params.step_m,
-            scan_speed=params.scan_speed_m_s,
-            shortest=params.shortest_m,
-            clearance=params.clearance_m,
-            max_exact_checks=params.max_exact_checks,
-        ),
+        settings=params.settings(),
         exact=scene.collides,
         progress=progress,
     )

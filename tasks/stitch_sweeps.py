@@ -9,7 +9,7 @@ A view that cannot be executed or connected is left out with its reason, so that
 from __future__ import annotations
 
 import math
-from typing import Literal, Self
+from typing import TYPE_CHECKING, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -20,6 +20,9 @@ from schemas.poses import Pose
 from schemas.sources import CellModel
 from schemas.stage import Progress, no_progress, stage
 from schemas.views import Reachability, Viewpoints, ViewSelection
+
+if TYPE_CHECKING:
+    from cellwright.solvers.stitched_plan import StitchSettings
 
 
 class StitchParams(Params):
@@ -61,6 +64,29 @@ class StitchParams(Params):
             object.__setattr__(self, name, type(self).model_fields[name].default)  # frozen for everybody else
         return self
 
+    def settings(self) -> StitchSettings:
+        """Return the settings as the library takes them."""
+        from cellwright.solvers.roadmap import RoadmapSize
+        from cellwright.solvers.stitched_plan import StitchSettings
+
+        return StitchSettings(
+            scan_speed=self.scan_speed_m_s,
+            tool_acceleration=self.tool_acceleration_m_s2,
+            sample=self.sample_s,
+            step=self.step_rad,
+            sweep_clearance=min(self.clearance_m, StitchSettings.confirm_step),
+            max_alternatives=self.max_alternatives,
+            roadmap=RoadmapSize(
+                n_nodes=self.roadmap_nodes,
+                n_batch=max(100, self.roadmap_nodes // 2),
+                n_most=4 * self.roadmap_nodes,
+                n_neighbours=self.neighbours,
+            ),
+            exact_up_to=self.exact_up_to,
+            n_evaluations=self.max_connections,
+            returns=self.return_to_start,
+        )
+
 
 @stage(version=4)
 def stitch_sweeps(
@@ -88,9 +114,8 @@ def stitch_sweeps(
 
     from cellwright.cell.motion_filter import FilteredScene
     from cellwright.cell.scene import Scene
+    from cellwright.cell.start_check import check_start
     from cellwright.errors import InfeasibleError, InvalidInputError, listed
-    from cellwright.solvers.roadmap import RoadmapSize
-    from cellwright.solvers.stitched_plan import StitchSettings
     from cellwright.solvers.stitching import stitch
     from schemas.cell_objects import build_cell
     from schemas.plan_objects import planned_sweeps, trajectory_of
@@ -113,30 +138,8 @@ def stitch_sweeps(
             f"the start configuration has joint {cell.joint[joint]} at {built.start[joint]:.4g} rad, outside its "
             f"limits {cell.lower_rad[joint]:.4g} to {cell.upper_rad[joint]:.4g} rad: choose another start_rad"
         )
-    touching = scene.colliding_pair(built.start)
-    if touching is not None:
-        raise InvalidInputError(
-            f"the start configuration brings {touching[0]} and {touching[1]} closer than "
-            f"{params.clearance_m * 1e3:.3g} mm: choose another start_rad, move the part, "
-            "or lower clearance_m"
-        )
-    settings = StitchSettings(
-        scan_speed=params.scan_speed_m_s,
-        tool_acceleration=params.tool_acceleration_m_s2,
-        sample=params.sample_s,
-        step=params.step_rad,
-        sweep_clearance=min(params.clearance_m, StitchSettings.confirm_step),
-        max_alternatives=params.max_alternatives,
-        roadmap=RoadmapSize(
-            n_nodes=params.roadmap_nodes,
-            n_batch=max(100, params.roadmap_nodes // 2),
-            n_most=4 * params.roadmap_nodes,
-            n_neighbours=params.neighbours,
-        ),
-        exact_up_to=params.exact_up_to,
-        n_evaluations=params.max_connections,
-        returns=params.return_to_start,
-    )
+    check_start(scene, params.clearance_m)
+    settings = params.settings()
     plan = stitch(
         built,
         FilteredScene(scene),

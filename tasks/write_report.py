@@ -22,22 +22,28 @@ from schemas.motion import ScanCloud, Trajectory, Verification
 from schemas.overlaps import StandingOverlaps
 from schemas.params import Params
 from schemas.part import PartMesh, SurfaceSamples
+from schemas.placement import PlacementOutcome, placement_figures
 from schemas.poses import Pose
 from schemas.report import InspectionReport
 from schemas.report_scene import scene_json
 from schemas.scanner import ScannerParams
+from schemas.sequencing import SweepSequence, sequencing_figures
 from schemas.sources import CellModel
+from schemas.sphere_hull import SphereHull
 from schemas.stage import stage
 from schemas.views import Coverage, Measurability, Reachability, Viewpoints, ViewSelection
+from tasks.report_sections.hulls import hull_section, hull_template
+from tasks.report_sections.placement import placement_section, placement_template
+from tasks.report_sections.sequencing import sequencing_section, sequencing_template
 
 CAUSE_WORDS = {
-    Cause.NONE: "a scan point lies close enough",
+    Cause.NONE: "nothing: a point of the scan lies close enough",
     Cause.FIELD_OF_VIEW: "no candidate sweep has it inside the laser fan",
     Cause.INCIDENCE: "laser or detector look at it too flat, or from behind",
     Cause.UNCERTAINTY: "the predicted uncertainty exceeds the permitted one",
     Cause.EMITTER_OCCLUDED: "the part or the cell hides it from the laser",
     Cause.DETECTOR_OCCLUDED: "the part or the cell hides it from the detector",
-    Cause.OUT_OF_REACH: "the robot has no inverse kinematics solution for the sweeps that see it",
+    Cause.OUT_OF_REACH: "the arm cannot reach the poses of the sweeps that see it (no inverse kinematics solution)",
     Cause.JOINT_LIMIT: "the sweeps that see it leave the joint limits",
     Cause.COLLISION: "the sweeps that see it collide",
     Cause.JOINT_SPEED: "a joint would be too slow for the scanning speed",
@@ -72,10 +78,12 @@ def template_digest() -> str:
     Part of the parameters, so that an upgraded template, viewer or chart library makes another page.
     """
     drawn_by = {name: version(name) for name in ("jinja2", "matplotlib", "plotly")}
-    return hashlib.sha256(f"{_template()}\n{json.dumps(drawn_by, sort_keys=True)}".encode()).hexdigest()
+    sections = placement_template(), hull_template(), sequencing_template()
+    texts = _template(), *sections, json.dumps(drawn_by, sort_keys=True)
+    return hashlib.sha256("\n".join(texts).encode()).hexdigest()
 
 
-@stage(version=5)
+@stage(version=7)
 def write_report(
     mesh: PartMesh,
     cell: CellModel,
@@ -89,12 +97,17 @@ def write_report(
     trajectory: Trajectory,
     verification: Verification,
     scan: ScanCloud,
+    placement: PlacementOutcome | None = None,
+    sequence: SweepSequence | None = None,
+    part_hull: SphereHull | None = None,
+    cell_hull: SphereHull | None = None,
     *,
     params: ReportParams,
 ) -> InspectionReport:
     """Write the page, its figures and the summary of a verified plan.
 
-    ``cloud`` is the verification cloud, ``measurability`` what the selection was made from.
+    ``cloud`` is the verification cloud, ``measurability`` what the selection was made from, ``placement`` whether
+    part or robot was moved, the hulls what it was optimised with, ``sequence`` whether the sweeps were sequenced anew.
     """
     import jinja2
 
@@ -116,6 +129,10 @@ def write_report(
         overlaps=overlaps,
         reachability=reachability,
     )
+    if placement is not None:
+        summary["placement"] = placement_figures(placement)
+    if sequence is not None:
+        summary["sequencing"] = sequencing_figures(sequence)
     cell_png = cell_picture(build_cell(cell, mesh, params.T_world_part.matrix()), params.scanner.scanner())
     coverage_png = coverage_picture(
         mesh.vertices_m,
@@ -145,18 +162,24 @@ def write_report(
     page = environment.from_string(template).render(
         title=params.title,
         notes=params.notes,
-        **_words(summary),
+        **_words(summary, verification),
         tiles=_tiles(summary),
         attention=summary["attention"],
+        remarks=summary["notes"],
         causes=_cause_rows(coverage),
         sweeps=_sweep_rows(selection, trajectory),
         orders=_order_rows(trajectory),
         checks=_check_rows(verification),
         mesh=_mesh_facts(mesh),
+        permitted_um=round(1e6 * params.max_uncertainty_m, 3),
         cell_png=base64.b64encode(cell_png).decode(),
         coverage_png=base64.b64encode(coverage_png).decode(),
         uncertainty_png=base64.b64encode(uncertainty_png).decode(),
         plan_png=base64.b64encode(plan_png).decode(),
+        placement_section=_trusted(
+            (placement_section(placement) if placement else "") + hull_section(mesh, part_hull, cell_hull)
+        ),
+        sequencing_section=_trusted(sequencing_section(sequence) if sequence else ""),
         plotly_js=_trusted(_plotly_js()),
         scene_json=_trusted(scene_json(mesh, cloud, coverage, viewpoints, trajectory, params.max_points)),
     )
@@ -170,11 +193,11 @@ def write_report(
     )
 
 
-def _words(summary: dict[str, Any]) -> dict[str, str]:
+def _words(summary: dict[str, Any], verification: Verification) -> dict[str, str]:
     orders = summary["orders_s"]
     saved = ""
     if {"greedy", summary["order"]} <= orders.keys() and summary["order"] != "greedy":
-        saved = f" It saves {100 * (1 - orders[summary['order']] / orders['greedy']):.0f} % against the greedy order."
+        saved = f" It saves {100 * (1 - orders[summary['order']] / orders['greedy']):.0f}% against the greedy order."
     if summary["order_proven_shortest"]:
         saved += " No other order of these sweeps over the connections that were found is shorter: that is proven."
     elif summary["order_lower_bound_s"] > 0.0:
@@ -182,6 +205,10 @@ def _words(summary: dict[str, Any]) -> dict[str, str]:
             f" Over the connections that were found no order of these sweeps takes less than "
             f"{summary['order_lower_bound_s']:.1f} s."
         )
+    shares = [most for most, unit in zip(verification.permitted.tolist(), verification.unit) if unit == "of the limit"]
+    excess = (
+        f" Speeds and accelerations count as kept up to {max(shares) - 1:.0%} above their limits." if shares else ""
+    )
     apart = ""
     if summary["least_distance_m"] is not None:
         one, other = summary["nearest"]["bodies"]
@@ -198,7 +225,8 @@ def _words(summary: dict[str, Any]) -> dict[str, str]:
         "order_words": f"{summary['scanning_s']:.1f} s of {summary['duration_s']:.1f} s are spent scanning. "
         f"The sweeps run in the {summary['order']} order.{saved}",
         "verification_words": f"{summary['verified_states']:,} states of the whole motion were checked again by "
-        f"{summary['verified_by']}, which did not plan it.{apart} Bodies that stand still are not part of this: "
+        f"{summary['verified_by']}, which did not plan it.{apart}{excess} Bodies that stand still are not part of "
+        "this: "
         + ("those that stand in one another are named above." if summary["overlaps"] else "none stands in another."),
         "scan_words": f"The simulated scan has {summary['scan_points']:,} points in {summary['scan_profiles']:,} "
         "profiles.",
@@ -289,7 +317,7 @@ _SHOP_UNITS = {
     "m/s^2": ("m/s²", 1.0),
     "rad": ("°", 180.0 / np.pi),
     "rad/s": ("°/s", 180.0 / np.pi),
-    "of the limit": ("% of the limit", 100.0),
+    "of the limit": ("%", 100.0),
 }
 """Units as people on the shop floor use them, and the factor to them."""
 
@@ -304,15 +332,23 @@ def _check_rows(verification: Verification) -> list[dict[str, str]]:
         verification.at_least.tolist(),
     ):
         shown, factor = _SHOP_UNITS.get(unit, (unit, 1.0))
+        unit_words = shown if shown in ("%", "°") else f" {shown}"
         rows.append(
             {
-                "check": check + (" (below zero: room that is left)" if found < 0.0 else ""),
-                "found": _plain(factor * found),
-                "permitted": f"{'≥' if at_least else '≤'} {_plain(factor * permitted)}".replace("≤ <", "<"),
-                "unit": shown,
+                "check": check
+                + (" (below zero: room that is left)" if found < 0.0 else "")
+                + (", of its limit" if shown == "%" else ""),
+                "found": _plain(factor * found) + unit_words,
+                "permitted": _bound(factor * permitted, at_least) + unit_words,
             }
         )
     return rows
+
+
+def _bound(permitted: float, at_least: bool) -> str:
+    if permitted == 0.0 and not at_least:
+        return "0"
+    return f"{'≥' if at_least else '≤'} {_plain(permitted)}".replace("≤ <", "<")
 
 
 def _plain(value: float) -> str:
@@ -323,17 +359,13 @@ def _plain(value: float) -> str:
         return "0"
     if abs(value) < 1e-3:
         return "< 0.001" if value > 0.0 else "> -0.001"
-    return f"{value:.4g}" if abs(value) < 1e4 else f"{value:,.0f}"
+    return f"{round(value, 3):.4g}" if abs(value) < 1e4 else f"{value:,.0f}"
 
 
 def _mesh_facts(mesh: PartMesh) -> dict[str, Any]:
-    size = 1e3 * (mesh.vertices_m.max(axis=0) - mesh.vertices_m.min(axis=0))
     return {
-        "faces": f"{len(mesh.faces):,}",
-        "area": f"{1e4 * mesh.areas_m2.sum():.1f}",
-        "area_to_measure": f"{1e4 * mesh.areas_m2[mesh.to_measure].sum():.1f}",
-        "size": " × ".join(f"{edge:.1f}" for edge in size),
-        "watertight": "yes" if mesh.watertight else "no",
+        "area": f"{1e4 * mesh.areas_m2.sum():,.1f}",
+        "area_to_measure": f"{1e4 * mesh.areas_m2[mesh.to_measure].sum():,.1f}",
         "findings": list(mesh.finding),
     }
 

@@ -14,7 +14,9 @@ import tasks
 from cellwright.causes import Cause
 from flows import command_line
 from schemas.cell_file import CellFile, load_cell_file
-from schemas.study_file import COLUMNS, FigureSection, StudyFile, grid, load_study_file
+from schemas.layout_file import load_layout_file
+from schemas.sequence_file import SequenceFile, load_sequence_file
+from schemas.study_file import COLUMNS, LAYOUT_COLUMNS, FigureSection, StudyFile, grid, load_study_file
 
 PROJECT = Path(__file__).parents[1]
 DOCUMENTS = [PROJECT / "README.md", *sorted((PROJECT / "docs").glob("*.md"))]
@@ -91,7 +93,13 @@ def test_every_cell_file_and_study_in_the_documents_is_valid(users_folder: Path)
             path = users_folder / f"{document.stem}_{number}.yaml"
             path.write_text(block)
             data = yaml.safe_load(block)
-            if "cellwright" in data:
+            if "stations" in data:
+                load_layout_file(path)
+                n_files += 1
+            elif "tasks" in data:
+                load_sequence_file(path)
+                n_files += 1
+            elif "cellwright" in data:
                 load_cell_file(path)
                 n_files += 1
             elif "cellwright-study" in data:
@@ -127,7 +135,7 @@ def test_links_lead_to_files(document: Path) -> None:
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
 def test_settings_in_the_documents_exist(document: Path) -> None:
     for path in set(re.findall(r"\b(planner(?:\.[a-z_]+)+)\b", document.read_text())):
-        model: object = CellFile
+        model: object = SequenceFile if document.name in ("sequence.md", "sequence-file.md") else CellFile
         for name in path.split("."):
             fields = {field.alias or key: field for key, field in model.model_fields.items()}  # type: ignore[attr-defined]
             assert name in fields, path
@@ -157,3 +165,5 @@ def test_every_key_and_column_of_a_study_is_documented() -> None:
     assert figure == set(FigureSection.model_fields)
     named = {name for names in table_of("study.md", "| column | meaning").values() for name in names}
     assert named == COLUMNS | {"STAGE [s]"}
+    of_layouts = {name for names in table_of("study.md", "| column of layouts").values() for name in names}
+    assert of_layouts == LAYOUT_COLUMNS

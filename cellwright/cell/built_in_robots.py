@@ -13,7 +13,7 @@ import numpy as np
 from cellwright.cell.bodies import Body
 from cellwright.cell.robot import Robot
 from cellwright.cell.serial_arm import SerialArm
-from cellwright.cell.urdf_geometry import collision_bodies
+from cellwright.cell.urdf_geometry import ReadMesh, collision_bodies
 from cellwright.errors import InvalidInputError
 
 
@@ -170,6 +170,16 @@ def built_in_bodies(name: str, robot: Robot | None = None) -> tuple[Body, ...]:
     """
     entry = built_in(name)
     return collision_bodies(robot or built_in_robot(name), lambda filename: _read(entry.name, filename))
+
+
+def built_in_meshes(name: str) -> ReadMesh:
+    """Return a reader of the collision meshes of a built-in robot, by their names in its URDF.
+
+    Raises:
+        InvalidInputError: If there is no robot of that name.
+    """
+    entry = built_in(name)
+    return lambda filename: _read(entry.name, filename)
 
 
 def built_in_digest(name: str) -> str:

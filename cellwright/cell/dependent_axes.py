@@ -51,6 +51,17 @@ def dependent_axes(chain: Chain) -> str | None:
     return f"{names} depend on one another"
 
 
+def singular_fault(chain: Chain) -> str | None:
+    """Say that an arm is singular in every configuration and what to check, or ``None`` if it is not."""
+    dependent = dependent_axes(chain)
+    if dependent is None:
+        return None
+    return (
+        f"the arm is singular in every configuration: {dependent}, so that its flange cannot move in all directions: "
+        "check the joint axes and origins in its URDF, and the base and flange links"
+    )
+
+
 def _same_line(J: FloatArray, a: int, b: int) -> bool:
     one, other = J[:, :, a], J[:, :, b]
     return min(float(np.abs(one - other).max()), float(np.abs(one + other).max())) < _ALIKE

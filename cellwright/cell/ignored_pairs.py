@@ -11,13 +11,16 @@ from __future__ import annotations
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from cellwright.arrays import FloatArray, Int8Array, Int32Array
 from cellwright.cell.bodies import WORLD
 from cellwright.cell.cell import Cell
-from cellwright.cell.scene import Scene
+
+if TYPE_CHECKING:
+    from cellwright.cell.scene import Scene
 
 N_SAMPLES = 5000
 NEVER_MARGIN = 0.03
@@ -63,7 +66,7 @@ def ignored_pairs(
             tool's bodies are checked against all links but the one that they are on.
         generator: Source of the random configurations.
         declared: Pairs that somebody states as harmless.
-        n_samples: Random configurations.
+        n_samples: Random configurations; 0 for those pairs alone that are known without trying.
         progress: Called with the share done.
     """
     parents = [body.parent for body in cell.bodies]
@@ -82,7 +85,8 @@ def ignored_pairs(
                 found[a, b] = Reason.NEIGHBOURS
     for one, other in declared:
         found.setdefault((min(one, other), max(one, other)), Reason.DECLARED)
-    found |= _sampled(cell, found, generator, n_samples, progress or (lambda share: None))
+    if n_samples:
+        found |= _sampled(cell, found, generator, n_samples, progress or (lambda share: None))
     pairs = sorted(found)
     reasons = np.array([found[pair] for pair in pairs], np.int8)
     return IgnoredPairs(np.array(pairs, np.int32).reshape(-1, 2), reasons)
@@ -95,6 +99,8 @@ def _sampled(
     n_samples: int,
     tell: Callable[[float], None],
 ) -> dict[tuple[int, int], Reason]:
+    from cellwright.cell.scene import Scene  # brings a compiler, which those who read the reasons need not wait for
+
     parents = np.array([body.parent for body in cell.bodies])
     skip = np.array(list(known), np.int32).reshape(-1, 2)
     bare = Cell(cell.robot, cell.bodies, skip, cell.T_world_base, cell.T_flange_scanner, cell.start)

@@ -34,7 +34,7 @@ from cellwright.cell.chain_kinematics import (
     pose_error_into,
     track_pose,
 )
-from cellwright.cell.dependent_axes import dependent_axes
+from cellwright.cell.dependent_axes import singular_fault
 from cellwright.cell.robot import Chain
 from cellwright.errors import InvalidInputError
 
@@ -121,12 +121,8 @@ def inverse_kinematics_for(chain: Chain) -> InverseKinematics:
             f"the arm has {chain.n_joints} joints: every-branch inverse kinematics needs six; "
             "choose base and flange links with six joints between them"
         )
-    dependent = dependent_axes(chain)
-    if dependent is not None:
-        raise InvalidInputError(
-            f"the arm is singular in every configuration: {dependent}, so that its flange cannot move in all "
-            "directions: check the joint axes and origins in its URDF, and the base and flange links"
-        )
+    if (fault := singular_fault(chain)) is not None:
+        raise InvalidInputError(fault)
     tried: list[str] = []
     for make in (_by_parallel_axes, _by_eaik, _by_offset_wrist, _by_elimination, _by_ssik):
         solver = make(chain)

@@ -115,6 +115,50 @@ def plate_with_pocket(
     return Mesh(vertices, _faces([*_fan(range(4))[:, ::-1].tolist(), *walls, *_fan(range(12, 16)).tolist()]))
 
 
+def panel_height(x: FloatArray, y: FloatArray) -> FloatArray:
+    """Return the height of the upper side of `floor_panel` above its floor at ``x``, ``y`` in m."""
+    tunnel = 0.20 * np.exp(-((y / 0.17) ** 4))
+    sills = 0.18 * _step((np.abs(y) - 0.86) / 0.12)
+    fire_wall = 0.34 * _step((x - 1.10) / 0.22)
+    return np.asarray(np.maximum(np.maximum(tunnel, sills), fire_wall))
+
+
+def floor_panel(n_along: int = 21, n_across: int = 31, thickness: float = 0.012) -> Mesh:
+    """Build a piece of floor as in a car body: a tunnel in the middle, sills at the sides, a wall rising at the end.
+
+    It lies on the xy plane, x from 0 to 1.4 m along the tunnel, y from -1.05 to 1.05 m; see `panel_height`.
+
+    Args:
+        n_along, n_across: Grid lines along x and y.
+        thickness: Thickness, measured upright, m.
+
+    Raises:
+        InvalidInputError: If there are fewer than two grid lines or the sheet has no thickness.
+    """
+    if min(n_along, n_across) < 2 or thickness <= 0.0:
+        raise InvalidInputError(
+            f"a grid of {n_along} x {n_across} lines and a thickness of {thickness:g} m make no panel: give at least "
+            "two lines each way and a positive thickness"
+        )
+    x, y = (each.ravel() for each in np.meshgrid(np.linspace(0.0, 1.4, n_along), np.linspace(-1.05, 1.05, n_across)))
+    z = panel_height(x, y)
+    vertices = np.concatenate([np.column_stack([x, y, z]), np.column_stack([x, y, z - thickness])])
+    grid = np.arange(n_along * n_across).reshape(n_across, n_along)
+    a, b, c, d = (each.ravel() for each in (grid[:-1, :-1], grid[:-1, 1:], grid[1:, 1:], grid[1:, :-1]))
+    top = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
+    below = grid.size
+    rim = np.concatenate([grid[0, :-1], grid[:-1, -1], grid[-1, :0:-1], grid[:0:-1, 0]])  # counter-clockwise from above
+    beside = np.roll(rim, -1)
+    wall = [np.stack([below + rim, below + beside, beside], axis=1), np.stack([below + rim, beside, rim], axis=1)]
+    return Mesh(vertices, np.concatenate([top, below + top[:, ::-1], *wall]).astype(np.int32))
+
+
+def _step(u: FloatArray) -> FloatArray:
+    """Return the smooth step from 0 at ``u`` = 0 to 1 at 1."""
+    u = np.clip(u, 0.0, 1.0)
+    return np.asarray(u * u * (3.0 - 2.0 * u))
+
+
 def stl_bytes(mesh: Mesh, metres_per_unit: float = 1e-3) -> bytes:
     """Write a mesh as binary STL, by default in mm."""
     record = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])

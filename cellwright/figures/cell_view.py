@@ -8,7 +8,7 @@ no frame and are drawn as glass where they stand in front. Some half a second; e
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -45,12 +45,13 @@ _SMALL = (400 * _SAMPLES, 306 * _SAMPLES)
 _MOST_LABELS = 22
 
 
-def cell_picture(cell: Cell, scanner: Scanner) -> bytes:
+def cell_picture(cell: Cell, scanner: Scanner, robot_is: str = "at its start") -> bytes:
     """Draw a cell at its start configuration as PNG bytes.
 
     Args:
         cell: The cell, with the part as its last body if it is to be seen.
         scanner: Aperture and standoffs of the laser fan that is drawn.
+        robot_is: Where the robot is, for the caption.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -59,10 +60,10 @@ def cell_picture(cell: Cell, scanner: Scanner) -> bytes:
     fan = apply(layout.T_world_scanner, laser_fan(scanner))
     figure = Figure(figsize=(12.0, 10.4), dpi=110)
     FigureCanvasAgg(figure)
-    shown = _overview(figure.add_axes((0.16, 0.435, 0.68, 0.555)), layout, fan, cell.robot.name)
+    shown, _ = draw_overview(figure.add_axes((0.16, 0.435, 0.68, 0.555)), layout, fan, cell.robot.name)
     shown |= _from_above(figure.add_axes((0.06, 0.075, 0.41, 0.32)), layout, fan, shown)
     _close_up(figure.add_axes((0.54, 0.075, 0.41, 0.32)), layout, fan, scanner)
-    _legend(figure, layout, shown)
+    _legend(figure, layout, shown, robot_is)
     return png_bytes(figure)
 
 
@@ -79,7 +80,14 @@ def _fitted(points: FloatArray, way: tuple[float, float], pixels: tuple[int, int
     return camera, np.asarray((seen.min(axis=0) + seen.max(axis=0)) / 2 @ axes)
 
 
-def _overview(axes: Any, layout: Layout, fan: FloatArray, robot: str) -> set[str]:
+def draw_overview(
+    axes: Any, layout: Layout, fan: FloatArray | None, robot: str
+) -> tuple[set[str], Callable[[FloatArray], FloatArray]]:
+    """Draw a whole cell from the side that hides least, with or without a laser fan (6, 3).
+
+    Returns:
+        The names of the bodies it shows, and what maps points of the world (n, 3) in m into ``axes`` (n, 2).
+    """
     near = layout.solids(large=False)
     middle = layout.frame.mean(axis=0)
     ways = [(math.radians(azimuth), math.radians(elevation)) for azimuth, elevation in _OVERVIEW_DEG]
@@ -93,7 +101,8 @@ def _overview(axes: Any, layout: Layout, fan: FloatArray, robot: str) -> set[str
     seen = _draw(axes, layout, fan, camera, middle)
     _world_axes(axes, layout, camera, middle)
     _grid_labels(axes, layout, camera, middle)
-    return _labels(axes, layout, seen, camera, robot)
+    named = _labels(axes, layout, seen, camera, robot)
+    return named, lambda points: _project(points, camera, middle)
 
 
 def _from_above(axes: Any, layout: Layout, fan: FloatArray, known: set[str]) -> set[str]:
@@ -142,7 +151,7 @@ def _close_up(axes: Any, layout: Layout, fan: FloatArray, scanner: Scanner) -> N
 def _draw(
     axes: Any,
     layout: Layout,
-    fan: FloatArray,
+    fan: FloatArray | None,
     camera: Camera,
     middle: FloatArray,
     only: BoolArray | None = None,
@@ -168,15 +177,16 @@ def _draw(
         picture = picture * (1.0 - opacity) + tint * opacity
     if only is None:
         picture = _with_grid(picture, depth, layout.frame, camera, middle)
-    picture = _with_fan(picture, depth, fan, camera, middle)
+    if fan is not None:
+        picture = _with_fan(picture, depth, fan, camera, middle)
     rows, columns = camera.height // _SAMPLES, camera.width // _SAMPLES
     small = picture[: rows * _SAMPLES, : columns * _SAMPLES].reshape(rows, _SAMPLES, columns, _SAMPLES, 3)
     half_width, half_height = camera.width * camera.scale / 2, camera.height * camera.scale / 2
     axes.imshow(
         small.mean(axis=(1, 3)), extent=(-half_width, half_width, -half_height, half_height), interpolation="none"
     )
-    outline = _project(fan[[0, 3, 4, 0]], camera, middle)
-    axes.plot(*outline.T, color=LASER, linewidth=0.8)
+    if fan is not None:
+        axes.plot(*_project(fan[[0, 3, 4, 0]], camera, middle).T, color=LASER, linewidth=0.8)
     axes.set_xlim(-half_width, half_width)
     axes.set_ylim(-half_height, half_height)
     axes.set_axis_off()
@@ -340,7 +350,7 @@ def _spread(heights: Sequence[float], half_height: float) -> list[float]:
     return placed
 
 
-def _legend(figure: Any, layout: Layout, shown: set[str]) -> None:
+def _legend(figure: Any, layout: Layout, shown: set[str], robot_is: str) -> None:
     from matplotlib.patches import Patch
 
     handles = [Patch(color=colour, label=role) for role, colour in COLOURS.items() if role in layout.roles]
@@ -355,7 +365,7 @@ def _legend(figure: Any, layout: Layout, shown: set[str]) -> None:
         for name, role, is_large in zip(layout.names, layout.roles, layout.large)
         if role != ROBOT and not is_large and name not in shown
     ]
-    words = f"Grid on z = 0 of the world, every {1e3 * grid_step(layout.frame):.0f} mm, in m; robot at its start."
+    words = f"Grid on z = 0 of the world, every {1e3 * grid_step(layout.frame):.0f} mm, in m; robot {robot_is}."
     if hidden:
         words += f" Hidden, or too far away to be shown: {_listed(hidden)}."
     figure.text(0.5, 0.042, plain_text(words), ha="center", fontsize=9, color="#5b6874")

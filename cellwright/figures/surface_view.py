@@ -15,7 +15,7 @@ from cellwright.arrays import BoolArray, FloatArray, Int32Array, IntArray
 _BORDER = 1.04
 """Pictures are larger than the mesh by this factor."""
 
-_AMBIENT = 0.45
+_AMBIENT = 0.6
 """Brightness of a face that no light falls on: its colour must still be told from the others."""
 
 

@@ -1,4 +1,4 @@
-"""The fastest rates of a path parameter under velocity and acceleration limits, from rest to rest.
+"""The fastest rates of a path parameter under velocity and acceleration limits, from rest to rest or in passing.
 
 TOPP-RA (Pham and Pham 2018): with x the square of the parameter's rate and u its acceleration, limits at a grid point
 are half-planes in (u, x). Backwards over the grid the largest x is found from which the end can still be reached,
@@ -22,9 +22,17 @@ _CUTS = 200
 
 @numba.njit(cache=True, nogil=True)
 def fastest_rates(
-    first: FloatArray, second: FloatArray, grid: FloatArray, velocity: FloatArray, acceleration: FloatArray
+    first: FloatArray,
+    second: FloatArray,
+    grid: FloatArray,
+    velocity: FloatArray,
+    acceleration: FloatArray,
+    from_rest: bool = True,
+    to_rest: bool = True,
 ) -> FloatArray:
     """Return the largest rates (grid,) from 0 to 0; not a number where there is no timing.
+
+    An end that is not at rest is passed as fast as the limits allow.
 
     Args:
         first, second: Derivatives of the path on the grid, (grid, coordinates).
@@ -38,12 +46,15 @@ def fastest_rates(
         for j in range(n_coordinates):
             if first[i, j] != 0.0:
                 highest[i] = min(highest[i], (velocity[j] / first[i, j]) ** 2)
-    highest[n - 1] = 0.0
+    if to_rest or not np.isfinite(highest[n - 1]):
+        highest[n - 1] = 0.0
     planes = np.empty((4 * n_coordinates + 2, 3))  # a u + b x <= c
     for i in range(n - 2, -1, -1):
         count = _planes_into(first, second, grid, acceleration, highest, i, planes)
         highest[i] = _largest_square(planes, count, highest[i])
     square = np.zeros(n)
+    if not from_rest:
+        square[0] = highest[0]
     for i in range(n - 1):
         count = _planes_into(first, second, grid, acceleration, highest, i, planes)
         _, most = _bounds_of_change(planes, count, square[i])

@@ -1,4 +1,4 @@
-"""Give a joint path its fastest timing, rest to rest, under joint velocity and acceleration limits.
+"""Give a joint path its fastest timing under joint velocity and acceleration limits, at rest or at speed at its ends.
 
 A straight joint motion has a closed form, the trapezoid of its path parameter. A curved path is timed by TOPP-RA
 (Pham and Pham 2018, `cellwright.solvers.parameter_rates`) on a grid; limits on the travel of a tool are joint limits
@@ -46,7 +46,7 @@ class Limits:
 
 @dataclass(frozen=True, eq=False)
 class TimedMotion:
-    """A motion from rest to rest as states; between them it follows the cubic Hermite curve.
+    """A motion, mostly from rest to rest, as states; between them it follows the cubic Hermite curve.
 
     Attributes:
         time: Rises strictly from 0, (states,) in s.
@@ -61,7 +61,7 @@ class TimedMotion:
 
     @property
     def duration(self) -> float:
-        """The time from rest to rest in s."""
+        """How long it takes in s."""
         return float(self.time[-1])
 
     def reversed(self) -> TimedMotion:
@@ -152,21 +152,24 @@ def time_straight(q_a: FloatArray, q_b: FloatArray, limits: Limits, sample: floa
     return TimedMotion(time, position, rate[:, None] * delta, change[:, None] * delta)
 
 
-def time_path(path: Path, knots: FloatArray, limits: Limits, sample: float) -> TimedMotion:
-    """Time a smooth path from rest to rest as fast as the limits allow.
+def time_path(
+    path: Path, knots: FloatArray, limits: Limits, sample: float, moving: tuple[bool, bool] = (False, False)
+) -> TimedMotion:
+    """Time a smooth path, from rest to rest unless it says otherwise, as fast as the limits allow.
 
     Args:
         path: The path; its second derivative may jump at knots only.
         knots: Parameters from the path's first to its last, rising, that the timing grid must contain.
         limits: Limits of all its coordinates.
         sample: Time between states in s; the end and the switches that matter are states as well.
+        moving: Whether the first and the last point are passed at speed instead of at rest.
 
     Raises:
         SolverError: If TOPP-RA finds no timing.
         InfeasibleError: If the motion takes so long that its states cannot be kept.
     """
     grid = _grid(knots)
-    rate = _fastest_rates(path, grid, limits)
+    rate = _fastest_rates(path, grid, limits, moving)
     step_time = 2.0 * np.diff(grid) / (rate[:-1] + rate[1:])
     grid_time = np.concatenate([[0.0], np.cumsum(step_time)])
     if grid_time[-1] > MOST_STATES * sample:
@@ -207,11 +210,16 @@ def _grid(knots: FloatArray) -> FloatArray:
     return np.append(np.concatenate(pieces), knots[-1])
 
 
-def _fastest_rates(path: Path, grid: FloatArray, limits: Limits) -> FloatArray:
-    """Return the largest parameter rates on the grid, zero at both ends."""
+def _fastest_rates(path: Path, grid: FloatArray, limits: Limits, moving: tuple[bool, bool]) -> FloatArray:
+    """Return the largest parameter rates on the grid, zero at the ends that are at rest."""
     first, second = path(grid, 1), path(grid, 2)
     finite = bool(np.isfinite(first).all() and np.isfinite(second).all())
-    rate = fastest_rates(first, second, grid, limits.velocity, limits.acceleration) if finite else np.zeros(len(grid))
+    at_rest = not moving[0], not moving[1]
+    rate = (
+        fastest_rates(first, second, grid, limits.velocity, limits.acceleration, *at_rest)
+        if finite
+        else np.zeros(len(grid))
+    )
     if not np.all(np.isfinite(rate)) or np.any(rate[1:-1] <= 0.0):
         raise SolverError(
             f"no timing from rest to rest was found on a path of {len(grid)} grid points and length "
@@ -237,7 +245,7 @@ def _sampled(
     s = np.clip(grid[row] + since * (rate[row] + 0.5 * change * since), grid[0], grid[-1])
     s[-1] = grid[-1]
     speed = rate[row] + change * since
-    speed[[0, -1]] = 0.0
+    speed[[0, -1]] = rate[[0, -1]]
     first, second = path(s, 1), path(s, 2)
     return TimedMotion(time, path(s), first * speed[:, None], second * (speed**2)[:, None] + first * change[:, None])
 

@@ -18,7 +18,7 @@ import numpy as np
 from cellwright.arrays import FloatArray, Int32Array
 from cellwright.cell.cell import Cell
 from cellwright.cell.transforms import inverse
-from cellwright.errors import InfeasibleError, InvalidInputError, listed
+from cellwright.errors import InvalidInputError, UnsafePlanError, listed
 from cellwright.solvers.clearance_proof import CONTACT, Clearance, PairChecker, prove_clearance
 from cellwright.solvers.hermite import peak_acceleration, peak_velocity, position_extremes, states_at
 from cellwright.solvers.motion_steps import MovingCorners, dense_times, link_poses_of
@@ -44,6 +44,7 @@ MENDS = {
         ("joint acceleration of the curve", "stated joint acceleration", "joint acceleration by differences"),
         "plan again with lower max_acceleration_rad_s2",
     ),
+    "joint torque": "carry less, or state the payload that the plan was made for",
     **dict.fromkeys(
         ("colliding states", "distance of bodies, between checked states too"), "plan again with more clearance_m"
     ),
@@ -112,7 +113,7 @@ class TimedPlan:
 
 @dataclass(frozen=True)
 class Check:
-    """One check: the worst value found, the permitted one, and where the worst was found.
+    """One check: the worst value found, the permitted one, and where and when (s) the worst was found.
 
     What is permitted is the most; with ``at_least`` the least.
     """
@@ -123,6 +124,7 @@ class Check:
     unit: str
     where: str = ""
     at_least: bool = False
+    time: float | None = None
 
     @property
     def passed(self) -> bool:
@@ -134,7 +136,7 @@ def require(checks: Sequence[Check]) -> None:
     """Raise if a check has failed.
 
     Raises:
-        InfeasibleError: Naming the first failed check, where it failed and by how much.
+        UnsafePlanError: Naming the first failed check, where it failed and by how much.
     """
     failed = [check for check in checks if not check.passed]
     if not failed:
@@ -142,10 +144,12 @@ def require(checks: Sequence[Check]) -> None:
     worst = failed[0]
     others = f"; {listed([check.name for check in failed[1:]])} failed too" if len(failed) > 1 else ""
     asked = "demanded" if worst.at_least else "permitted"
-    raise InfeasibleError(
-        f"the plan fails its verification: {worst.name} is {worst.found:.6g} {worst.unit} where "
-        f"{worst.permitted:.6g} {worst.unit} is {asked}{worst.where and ', ' + worst.where}{others}: "
-        f"{MENDS.get(worst.name, MEND_OF_OTHERS)}, and do not run this plan"
+    unit = "" if worst.unit in worst.name else f" {worst.unit}"  # "colliding states is 1"
+    raise UnsafePlanError(
+        f"the plan fails its verification: {worst.name} is {worst.found:.6g}{unit} where "
+        f"{worst.permitted:.6g}{unit} is {asked}{worst.where and ', ' + worst.where}{others}: "
+        f"{MENDS.get(worst.name, MEND_OF_OTHERS)}, and do not run this plan",
+        worst.time,
     )
 
 
@@ -169,10 +173,11 @@ def check_order(plan: TimedPlan) -> list[Check]:
     misplaced = ~np.isin(plan.segment, np.arange(len(starts)))
     of = np.where(misplaced, 0, plan.segment)
     outside = misplaced | (plan.time < starts[of] - SAME_TIME) | (plan.time > ends[of] + SAME_TIME)
+    when = plan.time[outside]
     return [
         Check("states that are not finite or do not follow in time", float(len(bad)), 0.0, "states", where),
         Check("gap between segments", float(gaps.max()), SAME_TIME, "s", f"before segment {int(gaps.argmax())}"),
-        Check("states outside their segment", float(outside.sum()), 0.0, "states", _at(plan.time[outside][:1])),
+        Check("states outside their segment", float(outside.sum()), 0.0, "states", _at(when), time=_first(when)),
     ]
 
 
@@ -271,16 +276,17 @@ def check_collisions(
     position, _ = states_at(plan.time, plan.position, plan.velocity, time)
     moved = corners.displacement(position)
     turned = float(np.abs(np.diff(position, axis=0)).max())
-    collisions, where = 0, ""
+    collisions, where, when = 0, "", None
     for number, q in enumerate(position):
         if number % STATES_PER_REPORT == 0:
             progress(STATES_SHARE * number / len(position))
         touching = checker.collision(q)
         if touching is not None:
-            collisions, where = 1, f"{_at(time[number : number + 1])}: {touching[0]} touches {touching[1]}"
+            collisions, when = 1, float(time[number])
+            where = f"{_at(time[number : number + 1])}: {touching[0]} touches {touching[1]}"
             break
     checks = [
-        Check("colliding states", float(collisions), 0.0, "states", where),
+        Check("colliding states", float(collisions), 0.0, "states", where, time=when),
         Check("motion between checked states", float(moved.max()), tolerances.step, "m"),
         Check("joint turn between checked states", turned, tolerances.step_angle, "rad"),
     ]
@@ -294,11 +300,8 @@ def check_collisions(
             progress=lambda share: progress(STATES_SHARE + (1.0 - STATES_SHARE) * share),
         )
         where = f"at {clearance.time:.3f} s: {' and '.join(clearance.bodies)}"
-        checks.append(
-            Check(
-                "distance of bodies, between checked states too", clearance.proven, CONTACT, "m", where, at_least=True
-            )
-        )
+        name = "distance of bodies, between checked states too"
+        checks.append(Check(name, clearance.proven, CONTACT, "m", where, at_least=True, time=clearance.time))
     progress(1.0)
     return CollisionProof(checks, len(position), clearance)
 
@@ -314,7 +317,7 @@ def _check_sweep(
 ) -> list[Check]:
     rows = np.flatnonzero((plan.time >= segment.start - SAME_TIME) & (plan.time <= segment.end + SAME_TIME))
     if len(rows) < 2:
-        return [Check("sweep interval not executed", np.inf, tolerances.position, "m", sweep.name)]
+        return [Check("sweep interval not executed", np.inf, tolerances.position, "m", sweep.name, time=segment.start)]
     part = slice(int(rows[0]), int(rows[-1]) + 1)
     motion = TimedPlan(
         plan.time[part], plan.position[part], plan.velocity[part], plan.acceleration[part],
@@ -336,7 +339,8 @@ def _check_sweep(
 
     def worst(name: str, values: FloatArray, permitted: float, unit: str, times: FloatArray) -> Check:
         row = int(np.argmax(values))
-        return Check(name, float(values[row]), permitted, unit, f"{where} {_at(times[row : row + 1])}")
+        when = times[row : row + 1]
+        return Check(name, float(values[row]), permitted, unit, f"{where} {_at(when)}", time=_first(when))
 
     return [
         worst("scanner off its planned line", off, tolerances.position, "m", time),
@@ -346,7 +350,7 @@ def _check_sweep(
         worst("travel beyond the sweep interval", beyond, tolerances.position, "m", time),
         worst("scanner speed on a sweep", speed, max_speed, "m/s", time),
         worst("scanner acceleration on a sweep", acceleration, max_acceleration, "m/s^2", windows),
-        Check("sweep interval not executed", float(lacking), tolerances.position, "m", where),
+        Check("sweep interval not executed", float(lacking), tolerances.position, "m", where, time=segment.start),
     ]
 
 
@@ -379,7 +383,11 @@ def _worst(name: str, values: FloatArray, permitted: float, unit: str, time: Flo
     """Make a check of the largest of ``values`` (states or intervals, joints)."""
     row, joint = np.unravel_index(int(np.argmax(np.nan_to_num(values, nan=np.inf))), values.shape)
     where = f"{_at(time[row : row + 1])} in joint {int(joint) + 1}"
-    return Check(name, float(values[row, joint]), permitted, unit, where)
+    return Check(name, float(values[row, joint]), permitted, unit, where, time=_first(time[row : row + 1]))
+
+
+def _first(time: FloatArray) -> float | None:
+    return float(time[0]) if len(time) else None
 
 
 def _at(time: FloatArray) -> str:

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import io
 import json
+import re
 from pathlib import Path
 from typing import Any
 
 import pytest
 from PIL import Image
 
+from cellwright.arrays import FloatArray
+from cellwright.cell.verification_scene import VerificationScene
 from cellwright.errors import InfeasibleError, InvalidInputError
 from flows import command_line, inspection
 from flows import findings as findings_of_a_run
@@ -117,8 +120,35 @@ def test_a_run_that_fails_before_the_arm_is_asked_has_the_error_alone(bench: Ben
     assert (found["samples"], found["causes"], found["artefact"]) == (0, {}, None)
     assert found["step"] == "assemble_cell"
     assert "robot.start" in found["error"]
-    assert found["error"] in (bench.folder / "out" / "findings.html").read_text().replace("&#39;", "'")
+    page = (bench.folder / "out" / "findings.html").read_text().replace("&#39;", "'")
+    message, _, keys = found["error"].removesuffix(")").partition(" (in ")
+    assert f"<p>{message}</p><p>In the cell file {keys}.</p>" in page
+    assert "The cell cannot be used as the cell file describes it." in page
     assert not (bench.folder / "out" / "findings.png").exists()
+
+
+def test_a_plan_that_fails_its_verification_is_shown_where_it_fails(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def touching(scene: VerificationScene, q: FloatArray) -> tuple[str, str] | None:
+        return ("scanner body", "part") if abs(q[0]) > 0.4 else None
+
+    (bench.folder / "out").mkdir()
+    (bench.folder / "out" / "findings.png").write_bytes(b"of an earlier run")
+    monkeypatch.setattr(VerificationScene, "collision", touching)
+    found = findings(bench)
+    assert found["step"] == "verify_plan"
+    said = re.fullmatch(
+        r"The plan fails at ([\d.]+) s of ([\d.]+) s, on (?:sweep \d of \d \(view \d+\)|the way from .+ to .+)\.",
+        found["failed_motion"],
+    )
+    assert said is not None and 0 < float(said[1]) < float(said[2])
+    assert f"at {float(said[1]):.2f}" in found["error"] and "scanner body touches part" in found["error"]
+    assert (found["samples"], found["causes"]) == (0, {}), "no sample has anything in its way"
+    assert found["failed_motion"] in (bench.folder / "out" / "findings.html").read_text()
+    assert {path.name for path in (bench.folder / "out").iterdir()} == {
+        "findings.html", "findings.json", "findings_cell.png",
+    }  # fmt: skip
 
 
 def test_the_failure_is_on_the_run_s_record(bench: Bench) -> None:
@@ -158,7 +188,7 @@ def test_what_breaks_while_explaining_is_told_beside_the_error_and_never_instead
 
 
 def test_a_full_disk_hides_neither_the_error_nor_what_was_found(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
-    def full(*_: object) -> None:
+    def full(*_: object, **__: object) -> None:
         raise InvalidInputError("cannot write findings.html: No space left on device: choose another --out")
 
     monkeypatch.setattr(findings_of_a_run, "write_files", full)

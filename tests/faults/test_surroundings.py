@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import httpx
@@ -59,6 +61,83 @@ def test_a_lake_that_cannot_be_written_is_told(
     said = capsys.readouterr().err
     assert "Permission denied: make the folder writable for this user or choose another lake with --lake" in said
     assert list(closed_folder.iterdir()) == []
+
+
+STUDY = """\
+cellwright-study: 1
+name: tiny
+cell: cell.yaml
+axes: {seed: {"0": {planner.seed: 0}}}
+figures: [{title: Sweeps, x: seed, y: sweeps}]
+"""
+
+
+@pytest.mark.parametrize("command", ["inspect", "sweep"])
+@pytest.mark.parametrize("lake", ["", " "])
+def test_an_empty_address_is_no_lake_and_starts_no_server(
+    command: str, lake: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("CELLWRIGHT_HOME", str(tmp_path / "home"))
+    monkeypatch.chdir(tmp_path)
+    cell = write_cell(tmp_path)
+    study = tmp_path / "study.yaml"
+    study.write_text(STUDY)
+    before = sorted(tmp_path.rglob("*"))
+    assert command_line.main([command, str(study if command == "sweep" else cell), "--lake", lake]) == MALFORMED
+    printed = capsys.readouterr()
+    assert printed.err == f"error: {lake!r} is not an address for a lake: give its path\n"
+    assert printed.out == ""
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+@contextmanager
+def read_only(folder: Path) -> Iterator[None]:
+    """Take the right to write anywhere in a folder from this process."""
+    entries = [folder, *folder.rglob("*")]
+    modes = [entry.stat().st_mode for entry in entries]
+    for entry in entries:
+        entry.chmod(0o555 if entry.is_dir() else 0o444)
+    for each in folder.parents:  # pytest keeps its folders to their owner, who is somebody else below
+        if "pytest-of-" in str(each):
+            each.chmod(0o755)
+    try:
+        with without_privileges():
+            yield
+    finally:
+        for entry, mode in zip(entries, modes, strict=True):
+            entry.chmod(mode)
+
+
+def test_a_read_only_lake_that_has_everything_gives_the_plan_and_says_that_the_run_is_not_recorded(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cell, lake, out = write_cell(tmp_path), tmp_path / "lake", tmp_path / "out"
+    command = ["inspect", str(cell), "--direct", "--lake", str(lake)]
+    assert command_line.main([*command, "--json"]) == 0
+    made = json.loads(capsys.readouterr().out)
+    out.mkdir()
+    out.chmod(0o777)
+    files = sorted(lake.rglob("*"))
+    with read_only(lake):
+        assert command_line.main([*command, "--json", "--out", str(out)]) == 0
+        printed = capsys.readouterr()
+        again = json.loads(printed.out)
+        assert command_line.main(command) == 0
+        said = capsys.readouterr().err
+        assert command_line.main([*command, "--json", "--set", "planner.selection.min_coverage=0.5"]) == LAKE
+        refused = capsys.readouterr().err
+    assert all(step["cached"] for step in again["steps"])
+    assert again["artefacts"] == made["artefacts"]
+    assert (out / "report.html").stat().st_size > 1000
+    (note,) = again["notes"]
+    assert note.startswith("this run is not on record")
+    assert "Permission denied" in note
+    assert [line for line in said.splitlines() if line.startswith("warning: ")] == [f"warning: {note}"]
+    assert refused.startswith("error: cannot ")
+    assert "Permission denied" in refused
+    assert len(refused.splitlines()) == 1
+    assert sorted(lake.rglob("*")) == files
+    assert len(Lake(str(lake)).runs()) == 1
 
 
 def test_a_full_disk_is_told_and_leaves_only_whole_artefacts(bench: Bench) -> None:

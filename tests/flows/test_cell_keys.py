@@ -9,10 +9,11 @@ from pathlib import Path
 import pytest
 
 import tasks
-from cellwright.errors import InfeasibleError, SolverError
+from cellwright.errors import InfeasibleError, SolverError, UnsafePlanError
 from flows.cell_keys import _KEY, KEYS, METHODS, _values, with_keys
 from flows.examples import find_cell_file
 from schemas.cell_file import CellFile, load_cell_file
+from schemas.stage import Stage
 from tests.flows.conftest import PROJECT
 
 NOT_SETTABLE = {
@@ -66,13 +67,27 @@ def test_a_message_without_keys_stays_as_it_is(text: str, cell: CellFile) -> Non
     assert with_keys(error, cell) is error
 
 
+def test_the_moment_at_which_a_plan_fails_and_the_notes_stay_with_the_error() -> None:
+    error = UnsafePlanError("it touches: plan again with more clearance_m", 1.5)
+    error.add_note("seen in a picture")
+    told = with_keys(error, load_cell_file(EXAMPLE))
+    assert isinstance(told, UnsafePlanError) and "planner.reachability.clearance" in str(told)
+    assert (told.time_s, told.__notes__) == (1.5, ["seen in a picture"])
+
+
 def test_every_key_exists_and_has_a_value(cell: CellFile) -> None:
     for key in (*KEYS.values(), *METHODS.values()):
         assert list(_values(cell, key)), key
 
 
+def inspecting() -> list[Stage]:
+    """Return the stages whose parameters come from this kind of cell file: behind the report stand other flows'."""
+    names = list(tasks.STAGES)
+    return [tasks.STAGES[name] for name in (*names[: names.index("write_report") + 1], "explain_samples")]
+
+
 def test_every_field_that_an_error_names_has_a_key() -> None:
-    fields = {name for stage in tasks.STAGES.values() for name in stage.params_class.model_fields if "_" in name}
+    fields = {name for stage in inspecting() for name in stage.params_class.model_fields if "_" in name}
     named: dict[str, str] = {}
     for folder in ("tasks", "cellwright"):
         for path in sorted((PROJECT / folder).rglob("*.py")):

@@ -1,4 +1,4 @@
-"""``cellwright validate --picture``: the cell is drawn without planning, and what stands wrong is told."""
+"""``cellwright validate``: what a run would refuse is refused, the cell is drawn on request, and nothing is planned."""
 
 from __future__ import annotations
 
@@ -26,16 +26,62 @@ def test_the_cell_is_drawn_and_nothing_is_planned(tmp_path: Path, capsys: pytest
         assert min(image.size) > 800
 
 
-def test_a_cell_that_collides_at_its_start_is_drawn_all_the_same(
+BLOCK = "obstacles=[{name: block, box: {size: [1 m, 1 m, 1 m]}, pose: {position: [0 mm, 0 mm, 900 mm]}}]"
+"""A cell in which no robot can start."""
+
+
+def test_a_cell_that_collides_at_its_start_is_drawn_and_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file = tmp_path / "cell.png"
-    block = "obstacles=[{name: block, box: {size: [1 m, 1 m, 1 m]}, pose: {position: [0 mm, 0 mm, 900 mm]}}]"
-    assert validate(tmp_path, "--picture", str(file), "--set", block) == 0
-    printed = capsys.readouterr().out
-    assert "Attention: the start configuration collides" in printed
-    assert "block" in printed
+    assert validate(tmp_path, "--picture", str(file), "--set", BLOCK) == 2
+    said = capsys.readouterr().err
+    assert said.startswith("error: the start configuration collides")
+    assert "'block'" in said
+    assert f"note: the cell is drawn in {file}" in said
     assert file.stat().st_size > 10_000
+
+
+@pytest.mark.parametrize(
+    ("settings", "says"),
+    [
+        ([BLOCK], "the start configuration collides"),
+        (["part.pose.position=[691 mm, 19 mm, 587 mm]", "part.rests_on=null"], "the start configuration brings"),
+        (["part.scale=1000"], "but a part must be at most 5 m"),
+        (["part.unit=m"], "but a part must be at most 5 m"),
+        (["part.file=garbage.stl"], "garbage.stl"),
+        (["part.file=empty.step"], "empty.step"),
+    ],
+)
+def test_what_a_run_would_refuse_is_refused_with_the_same_words(
+    settings: list[str], says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cell = write_cell(tmp_path)
+    (tmp_path / "garbage.stl").write_bytes(bytes(range(256)) * 8)
+    (tmp_path / "empty.step").write_bytes(b"")
+    words = [str(cell), *(word for setting in settings for word in ("--set", setting))]
+    assert command_line.main(["validate", *words]) == 2
+    said = capsys.readouterr().err
+    assert says in said
+    assert "Traceback" not in said
+    assert command_line.main(["inspect", *words, "--direct", "--json", "--lake", str(tmp_path / "lake")]) == 2
+    assert capsys.readouterr().err == said
+
+
+def test_a_part_that_would_tip_is_told_without_a_picture_too(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    table = "table.box.size=[300 mm, 300 mm, 200 mm]"
+    edge = ["--set", table, "--set", "part.pose.position=[845 mm, 0 mm]"]
+    assert validate(tmp_path, *edge, "--json") == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["attention"] == []
+    assert told["notes"][0].startswith("the part reaches ")
+    far = ["--set", "part.pose.position=[860 mm, 0 mm, 200 mm]", "--set", "part.rests_on=null"]
+    assert validate(tmp_path, *far) == 0
+    shown = capsys.readouterr().out
+    assert "Attention: the part would tip: its centre of mass lies 10.0 mm outside" in shown
+    assert "Note:" not in shown
 
 
 def test_a_part_in_its_table_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

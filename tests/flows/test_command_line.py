@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shlex
 import subprocess
 import sys
@@ -58,6 +59,15 @@ def _seconds_of_help() -> float:
     begun = time.monotonic()
     assert python("from flows.command_line import main; main(['--help'])").returncode == 0
     return time.monotonic() - begun
+
+
+def test_help_lists_the_exit_codes_that_the_documents_list(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        command_line.main(["--help"])
+    told = re.findall(r"^  (\d+)  \S", capsys.readouterr().out, re.MULTILINE)
+    page = (PROJECT / "docs" / "running.md").read_text("utf-8")
+    assert told == re.findall(r"^\| (\d+) \|", page, re.MULTILINE)
+    assert "1" in told
 
 
 @pytest.mark.parametrize("command", [[], ["inspect"], ["validate"], ["sweep"], ["lake"], ["lake", "sql"], ["server"]])
@@ -120,7 +130,9 @@ def test_a_direct_run_needs_no_server(monkeypatch: pytest.MonkeyPatch, capsys: p
     monkeypatch.setattr("flows.server.start", lambda say: pytest.fail("a server was started"))
     monkeypatch.setitem(sys.modules, "flows.study", types.SimpleNamespace(run=run))  # type: ignore[arg-type]
     assert command_line.main(["sweep", "study.yaml", "--direct"]) == 0
-    assert capsys.readouterr().out == "[3 sweeps]\n"
+    shown, took = capsys.readouterr().out.splitlines()
+    assert shown == "[3 sweeps]"
+    assert re.fullmatch(r"The run took \d+\.\d s, start-up apart\.", took)
 
 
 def test_output_that_nobody_reads_any_more_is_no_traceback(tmp_path: Path) -> None:
@@ -177,7 +189,9 @@ def test_a_flow_gets_what_was_asked_for(
     monkeypatch.setenv("PREFECT_API_URL", prefect_server)
     monkeypatch.setenv("CELLWRIGHT_LAKE", str(tmp_path / "elsewhere"))
     assert command_line.main(["sweep", "study.yaml", "--refresh", "scale", "--out", "results", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out) == {"coverage": 0.99, "gap": None}
+    told = json.loads(capsys.readouterr().out)
+    assert 0.0 <= told.pop("took_s") < 60.0
+    assert told == {"coverage": 0.99, "gap": None}
     assert asked["path"] == Path("study.yaml")
     assert asked["lake"] == str(tmp_path / "elsewhere")
     assert asked["refresh"] == {"scale"}

@@ -70,7 +70,7 @@ def connected(*rounds: Round) -> tuple[str, str, Chain]:
     candidates = Candidates(*(made(name) for name in ("cell", "mesh", "surroundings", "viewpoints", "reachability")))
     choice = Choice(made("first selection"), made("measurable"))
     found: Any = connect_sweeps(chain, request, chain, candidates, choice, request.stitching)
-    selection, trajectory = found
+    selection, trajectory, _ = found
     return selection.name, trajectory.name, chain
 
 

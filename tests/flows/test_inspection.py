@@ -24,6 +24,7 @@ import tasks
 from cellwright.errors import InfeasibleError, InvalidInputError
 from flows import command_line, inspection
 from flows.inspection_result import InspectionResult
+from flows.placement_rounds import MOVED
 from schemas.study_file import COLUMNS
 from storage.lake import Lake
 from tests.test_documents import blocks, commands
@@ -41,6 +42,8 @@ SMALL = (
     "planner.viewpoints.delta_rot=[0 deg, 90 deg]",
     "planner.stitching.roadmap_nodes=50",
     "planner.stitching.max_alternatives=2",
+    "layout.evaluations=60",
+    "layout.stitched=1",
 )
 """A plan in seconds: a small part, few candidates, a small roadmap."""
 
@@ -63,17 +66,19 @@ def first(lake_url: str) -> InspectionResult:
 
 
 def computed(result: InspectionResult) -> set[str]:
-    return {record.stage for record in result.records if not record.cached}
+    """Return the stages that were computed; those that a placement runs again count only where they run first."""
+    return {record.stage for record in result.records if not record.cached and MOVED not in record.name}
 
 
 def digests(steps: Any) -> dict[str, str]:
     return {step["name"]: step["digest"] for step in steps}
 
 
-ALL = set(tasks.STAGES) - {
-    "explain_samples",  # runs where there is no plan
-    "fit_spheres",  # belongs to the layout
-}
+CHAIN = list(tasks.STAGES)
+ALL = set(CHAIN[: CHAIN.index("write_report") + 1])
+"""Every stage of the chain; behind its report stand those that run where there is no plan, and those of other flows."""
+CLOSING_GAPS = {"find_gaps", "extend_measurability"}
+"""Rounds that a plan does not come from if the first selection was the best."""
 BEFORE_PLACING = {"read_source", "assemble_cell", "preprocess_mesh", "sample_surface", "sample_viewpoints"}
 BEFORE_SELECTING = BEFORE_PLACING | {"place_surroundings", "measure_samples", "follow_sweeps", "trim_measurability"}
 
@@ -138,7 +143,7 @@ def test_the_run_is_recorded_and_its_lineage_reaches_the_part(first: InspectionR
     recorded = next(run for run in lake.runs() if run["run_id"] == first.run_id)
     assert digests(recorded["steps"]) == {record.name: record.ref.digest for record in first.records}
     stages = {line.manifest.about.stage for line in lake.lineage(first.refs["report"]) if line.manifest}
-    assert stages == ALL - {"record_plan"}
+    assert ALL - {"record_plan", *CLOSING_GAPS} <= stages <= ALL
     assert lake.verify() == []
 
 
@@ -235,7 +240,7 @@ class TestCommandLine:
             with Image.open(results / f"{name}.png") as image:
                 assert image.width > 500
         summary = json.loads((results / "summary.json").read_text())
-        assert summary == {name: value for name, value in printed.items() if name != "files"}
+        assert summary == {name: value for name, value in printed.items() if name not in ("files", "took_s")}
 
     def test_the_exported_report_says_how_this_run_went(self, printed: dict[str, Any], folder: Path) -> None:
         page = (folder / "results" / "first" / "report.html").read_text()
@@ -264,9 +269,9 @@ class TestCommandLine:
         assert {cause: n for cause, n in counted.items() if cause != "none"} == printed["summary"]["causes"]
         assert command_line.main(["lake", "lineage", "trajectory"]) == 0
         assert "source: source-file/" in capsys.readouterr().out
-        query = "SELECT cause, count(*) AS n FROM coverage_points GROUP BY cause ORDER BY cause"
+        query = f"SELECT count(*) AS n FROM coverage_points WHERE digest = '{shown['digest']}'"
         assert command_line.main(["lake", "sql", query, "--json"]) == 0
-        assert sum(row["n"] for row in json.loads(capsys.readouterr().out)) == sum(counted.values())
+        assert json.loads(capsys.readouterr().out)[0]["n"] == sum(counted.values())
 
     @pytest.mark.parametrize("document", ["README.md", "docs/inspect.md", "docs/lake.md"])
     def test_what_the_documents_ask_the_lake_is_answered(
@@ -334,7 +339,8 @@ class TestUnderPrefect:
             mine = FlowRunFilter(id={"any_": [ran.run_id]})
             for _ in range(100):  # the server writes task runs down some time after they have ended
                 stages = client.read_task_runs(flow_run_filter=mine, limit=200)
-                if {stage.name for stage in stages} == {record.name for record in ran.records}:
+                ended = {stage.name for stage in stages if stage.state_name != "Running"}
+                if ended == {record.name for record in ran.records}:
                     break
                 time.sleep(0.1)
             artifacts = client.read_artifacts(

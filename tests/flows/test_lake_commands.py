@@ -168,6 +168,42 @@ class TestLakeCommands:
         replaced = {"replaced_view": np.array([7], np.int32), "replaced_reason": ("no way",)}
         assert _findings(plan.changed(plan.trajectory(), **replaced)) == ["view 7 is replaced by others: no way"]
 
+    def test_a_terminal_of_80_columns_has_room_for_runs_and_a_pipe_gets_whole_rows(
+        self, lake: Lake, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        why = "the start configuration collides: " + "word " * 60 + "end"
+        name = "0d9d1a2b-6f5c-4a4e-9d8a-0123456789ab"
+        facts = {"flow": "inspect", "cell": "grooved cylinder", "host": "elsewhere"}
+        lake.record_run(name, {**facts, "state": "failed", "error": why, "steps": [{"cached": True}, {}]})
+        lake.record_run("short", {**facts, "state": "finished", "steps": []})
+        piped = [line for line in self.text_of(capsys, "runs").splitlines() if name in line]
+        assert len(piped) == 1
+        assert piped[0].endswith(why)
+        assert all(line == line.rstrip() for line in self.text_of(capsys, "runs").splitlines())
+        monkeypatch.setattr("sys.stdout.isatty", lambda: True, raising=False)
+        monkeypatch.setenv("COLUMNS", "80")
+        monkeypatch.setenv("TERM", "dumb")
+        shown = self.text_of(capsys, "runs").splitlines()
+        rows = [line for line in shown if "inspect" in line]
+        assert len(rows) == 2
+        assert max(len(row.rstrip()) for row in rows) <= 80
+        assert "failed    1 of 2" in "\n".join(rows)
+        assert shown[-1] == f"{name[:8]}: {why}"
+
+    def test_show_keeps_long_settings_whole_on_a_pipe_and_short_in_a_terminal(
+        self, lake: Lake, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        from tests.tasks import plan_artefacts as plan
+
+        words = "x" * 5000
+        about = Recipe("find_overlaps", 1, {"long": words}, {})
+        lake.publish(about.key, plan.overlaps(), about)
+        assert any(words in line for line in self.text_of(capsys, "show", "standing-overlaps").splitlines())
+        monkeypatch.setattr("sys.stdout.isatty", lambda: True, raising=False)
+        shown = self.text_of(capsys, "show", "standing-overlaps")
+        assert shown.count("x") < 300
+        assert "(5002 letters; --json shows all)" in " ".join(shown.split())
+
     def test_show_of_something_unknown_ends_with_2(self, lake: Lake, capsys: pytest.CaptureFixture[str]) -> None:
         assert command_line.main(["lake", "show", "test-totl"]) == 2
         assert "did you mean test-total" in capsys.readouterr().err

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import os
+import re
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
 from cellwright.errors import InvalidInputError
-from flows.result_folder import write_files
+from flows.result_folder import prepare_folder, write_files
+from tests.flows.conftest import PROJECT
 
 OLD = {"summary.json": b"old", "plan.mcap": b"old", "scan.parquet": b"old"}
 NEW = {"plan.mcap": b"new", "summary.json": b"new", "scan.parquet": b"new"}
@@ -24,6 +29,33 @@ def test_a_folder_in_the_place_of_a_file_is_named_and_nothing_changes(tmp_path: 
     with pytest.raises(InvalidInputError, match=r"scan\.parquet: a folder of this name is in the way"):
         write_files(tmp_path, NEW, mark="summary.json")
     assert contents(tmp_path) == {"summary.json": b"old", "plan.mcap": b"old"}
+
+
+def test_what_must_not_stand_beside_goes_and_a_folder_of_that_name_stays(tmp_path: Path) -> None:
+    (tmp_path / "findings.html").write_bytes(b"of an earlier run")
+    (tmp_path / "findings.json").mkdir()
+    write_files(tmp_path, NEW, mark="summary.json", gone=("findings.html", "findings.json", "scan.parquet"))
+    assert contents(tmp_path) == NEW
+    assert (tmp_path / "findings.json").is_dir()
+
+
+def test_what_a_killed_process_left_is_cleared_away_and_what_a_living_one_writes_is_not(tmp_path: Path) -> None:
+    script = (
+        "import os, pathlib, sys; from flows.result_folder import write_files\n"
+        "pathlib.Path.replace = lambda *paths: os.kill(os.getpid(), 9)\n"
+        "write_files(pathlib.Path(sys.argv[1]), {'plan.mcap': b'half', 'summary.json': b'half'})"
+    )
+    killed = subprocess.run([sys.executable, "-c", script, str(tmp_path)], cwd=PROJECT, check=False)
+    assert killed.returncode == -9
+    left = sorted(path.name for path in tmp_path.iterdir())
+    assert len(left) == 2
+    ours = tmp_path / re.sub(r"-\d+-", f"-{os.getpid()}-", left[0])
+    elsewhere = tmp_path / ".cellwright-elsewhere-1-plan.mcap"
+    users = tmp_path / ".hidden.12345"
+    for each in (ours, elsewhere, users):
+        each.write_bytes(b"")
+    prepare_folder(tmp_path)
+    assert {path.name for path in tmp_path.iterdir()} == {ours.name, elsewhere.name, users.name}
 
 
 class Killed(BaseException):

@@ -81,6 +81,8 @@ def quantity_of(field: FieldInfo) -> Quantity | None:
 
 
 def _kind(field: FieldInfo) -> str:
+    if isinstance(field.json_schema_extra, dict) and "written_as" in field.json_schema_extra:
+        return str(field.json_schema_extra["written_as"])
     annotation, quantity, text = field.annotation, quantity_of(field), str(field.annotation)
     is_list = "tuple[" in text
     inner = section_in(annotation)

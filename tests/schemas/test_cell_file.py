@@ -19,7 +19,7 @@ from schemas.scanner import ScannerParams
 
 ROOT = Path(__file__).parents[2]
 PARTS = ROOT.parent / "shared" / "data" / "parts"
-CELLS = sorted((ROOT / "tests" / "cells").glob("*.yaml"))
+CELLS = [path for path in sorted((ROOT / "tests" / "cells").glob("*.yaml")) if "\ntasks:" not in path.read_text()]
 
 CELL = """\
 cellwright: 1

@@ -69,6 +69,10 @@ def test_a_robot_that_no_run_would_take_is_refused_with_its_key(
         (arm(shape=BALL.replace("0.01", "-1")), "collision geometry of link 'l1' has radius [-1.0]"),
         (arm(limit='lower="-3" upper="3" velocity="0"'), "robot.model: arm.urdf: joint 'j0' has velocity limit 0"),
         (arm(limit='lower="3" upper="-3" velocity="1"'), "robot.model: arm.urdf: joint 'j0' has lower limit 3"),
+        (
+            arm().replace("1 0 0", "0 1 0").replace("0 0 1", "0 1 0"),
+            "the arm is singular in every configuration: axes 1, 2, 3, 4, 5 and 6 are parallel, so that",
+        ),
         (arm(limit='lower="-3" upper="3"'), 'add velocity="..." to its <limit> or state robot.max_velocity'),
     ],
 )

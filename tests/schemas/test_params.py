@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -13,9 +16,14 @@ from pydantic import Field, ValidationError
 
 import tasks
 from cellwright.cell.transforms import pose, rotation_from_rpy
+from flows.layout_requests import layout_request
+from schemas.body_params import BoxBody
+from schemas.layout_file import load_layout_file
+from schemas.layout_params import LayoutProblemParams
 from schemas.params import Params
 from schemas.poses import Pose
 from schemas.scanner import ScannerParams, SensingParams
+from tests.small_layout import write_layout
 
 
 class ExampleParams(Params):
@@ -48,6 +56,12 @@ def test_parameters_cannot_be_edited() -> None:
         ExampleParams().length_m = 2.0  # type: ignore[misc]
 
 
+@cache
+def two_tables() -> LayoutProblemParams:
+    with TemporaryDirectory() as folder:
+        return layout_request(load_layout_file(write_layout(Path(folder)))).layout.problem
+
+
 @pytest.mark.parametrize("stage", tasks.STAGES.values(), ids=lambda stage: stage.name)
 def test_every_stage_keys_all_of_its_parameters_but_those_it_exempts(stage: Any) -> None:
     exempt = {
@@ -58,12 +72,15 @@ def test_every_stage_keys_all_of_its_parameters_but_those_it_exempts(stage: Any)
     required = {
         "read_source": {"path": "a", "name": "a", "sha256": "0" * 64},
         "assemble_cell": {"robot": "ur10e"},
+        "spherize_robot": {"robot": "ur10e"},
+        "sample_surface": {"density_per_m2": 1.0},
+        "optimise_placement": {"harness": {}},
+        "cover_bodies": {"bodies": [{"body": BoxBody(name="box", size_m=(0.4, 0.2, 0.1))}]},
+        **{key: {"problem": two_tables()} for key in ("optimise_layout", "record_layout", "write_layout_report")},
     }
     given = {
         name: value for name, value in required.get(stage.name, {}).items() if name in stage.params_class.model_fields
     }
-    if stage.name == "sample_surface":
-        given = {"density_per_m2": 1.0}
     params = stage.params_class(**given)
     assert params.canonical().keys() == stage.params_class.model_fields.keys() - exempt
     assert stage.params_class(**params.model_dump()) == params, "what travels to a worker comes back the same"

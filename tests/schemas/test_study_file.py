@@ -10,6 +10,8 @@ import yaml
 
 from cellwright.errors import InvalidInputError
 from schemas.cell_file import load_cell_file
+from schemas.layout_file import load_layout_file
+from schemas.sequence_file import load_sequence_file
 from schemas.study_file import grid, load_study_file
 
 PROJECT = Path(__file__).parents[2]
@@ -122,13 +124,16 @@ def test_seconds_of_a_stage_are_a_column(tmp_path: Path) -> None:
     assert load_study_file(write(tmp_path, figures=figures)).figures[0].y == "follow_sweeps [s]"
 
 
+LOADERS = {"inspect": load_cell_file, "layout": load_layout_file, "sequence": load_sequence_file}
+
+
 @pytest.mark.parametrize("path", STUDIES, ids=lambda path: path.stem)
 def test_every_point_of_a_shipped_study_is_a_valid_cell_file(path: Path) -> None:
     study = load_study_file(path)
     points = grid(study)
     assert len({point.overrides for point in points}) == len(points)
     for point in points:
-        load_cell_file(PROJECT / "examples" / f"{study.cell}.yaml", point.overrides)
+        LOADERS[study.flow](PROJECT / "examples" / f"{study.cell}.yaml", point.overrides)
 
 
 def test_the_paper_study_spans_the_paper() -> None:
@@ -145,3 +150,20 @@ def test_the_paper_study_spans_the_paper() -> None:
         for planner in (load_cell_file(cell, point.overrides).planner for point in points)
     }
     assert densities == {100_000}
+
+
+def test_seeds_are_a_last_axis(tmp_path: Path) -> None:
+    axes = {"tilting": PLAIN["axes"]["tilting"]}
+    study = load_study_file(write(tmp_path, axes=axes, seeds=3))
+    assert list(study.axes) == ["tilting", "seed"]
+    found = [next(text for text in point.overrides if "seed" in text) for point in grid(study)]
+    assert found == ["planner.seed=0", "planner.seed=1", "planner.seed=2"] * 2
+    with pytest.raises(InvalidInputError, match=r"axes\.seed and seeds are both given: keep one"):
+        load_study_file(write(tmp_path, seeds=2))
+
+
+def test_columns_are_those_of_the_flow(tmp_path: Path) -> None:
+    figures = [{"title": "Cycles", "kind": "cloud", "x": "cpu_s", "y": "cycle_s", "lines": "tilting"}]
+    assert load_study_file(write(tmp_path, flow="layout", figures=figures, published=[])).flow == "layout"
+    with pytest.raises(InvalidInputError, match="has y: cycle_s, which is no column"):
+        load_study_file(write(tmp_path, figures=[{**figures[0], "x": "sweeps"}], published=[]))

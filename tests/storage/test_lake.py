@@ -112,6 +112,16 @@ class TestLakeContract:
         assert lake.find(ref.key) is None
         self._mends(lake, ref)
 
+    def test_a_single_file_is_read_as_it_was_published_or_not_at_all(self, lake: Lake) -> None:
+        ref = lake.publish(recipe().key, tally(*range(100)), recipe())
+        path = _only_file(lake, ref)
+        whole = lake.place.read(path) or b""
+        assert lake.read(ref, path.rpartition("/")[2]) == whole != b""
+        _overwrite(lake, path, whole[:-1] + bytes([whole[-1] ^ 1]))
+        with pytest.raises(LakeError, match="does not match its SHA-256: run again to make it anew"):
+            lake.read(ref, path.rpartition("/")[2])
+        assert lake.find(ref.key) is None
+
     def test_a_flipped_byte_is_found_when_loaded_and_mended_by_the_next_run(self, lake: Lake) -> None:
         ref = lake.publish(recipe().key, tally(*range(100)), recipe())
         path = _only_file(lake, ref)

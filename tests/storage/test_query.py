@@ -109,11 +109,20 @@ def test_fields_tell_the_unit(filled: Lake) -> None:
     assert answer == [{"unit": "m", "frame": "part", "dtype": "float64[3]"}]
 
 
+def test_a_table_that_is_not_there_is_told_with_the_nearest_few(filled: Lake) -> None:
+    with pytest.raises(InvalidInputError) as caught:
+        filled.query("SELECT * FROM measurability_entry")
+    said = str(caught.value)
+    assert said.startswith("SQL: there is no table 'measurability_entry': did you mean measurability_entries")
+    tables = filled.query("SHOW TABLES")["name"].to_pylist()
+    assert len([name for name in tables if name in said]) <= 4 < len(tables)
+
+
 @pytest.mark.parametrize(
     ("sql", "fact"),
     [
         ("SELEC 1", "syntax error"),
-        ("SELECT * FROM nothing", "nothing does not exist"),
+        ("SELECT * FROM nothing", "no table 'nothing'"),
         ("SELECT nothing FROM manifests", '"nothing" not found'),
         ("SELECT 'a'::INT", "Could not convert"),
     ],
@@ -121,7 +130,7 @@ def test_fields_tell_the_unit(filled: Lake) -> None:
 def test_a_wrong_statement_is_told_with_the_tables_there_are(filled: Lake, sql: str, fact: str) -> None:
     with pytest.raises(InvalidInputError, match=fact) as caught:
         filled.query(sql)
-    assert "manifests, inputs, runs, fields, causes, measurability_entries" in str(caught.value)
+    assert f'"SHOW TABLES" lists all {len(filled.query("SHOW TABLES"))} tables' in str(caught.value)
 
 
 @pytest.mark.parametrize(

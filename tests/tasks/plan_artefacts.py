@@ -115,8 +115,13 @@ def overlaps() -> StandingOverlaps:
         other=("table",),
         depth_m=np.array([0.0121]),
         finding=("part and table stand in one another, by at least 12.1 mm: move one of them or correct its size",),
+        supported_by=("table",),
+        tipping=(),
+        note=(),
         n_pairs=3,
         resting_m=0.001,
+        support_margin_m=0.05,
+        overhang_m=0.0,
         engine="FCL",
     )
 

@@ -18,10 +18,13 @@ from tests.tasks.goldens import check_golden, rounded
 from tests.tasks.scanning_artefacts import cell_model, part_mesh
 
 TABLE_TOP = -0.005
+TABLE_EDGE = 1.4
+"""Where the table of the cell ends along x, m."""
+RADIUS = scanning_cell.RADIUS
 
 
-def found(height: float, model: CellModel | None = None) -> StandingOverlaps:
-    place = np.array([*scanning_cell.PART_AT[:2], height])
+def found(height: float, model: CellModel | None = None, xy: tuple[float, float] = (0.7, 0.0)) -> StandingOverlaps:
+    place = np.array([*xy, height])
     params = OverlapParams(T_world_part=Pose.of(pose(place, np.eye(3))))
     return find_overlaps(model or cell_model(), part_mesh(), params=params)
 
@@ -43,6 +46,36 @@ def test_a_part_sunk_into_its_table_is_told_with_both_names_and_how_deep() -> No
         "part and table stand in one another, by at least 12.0 mm: move one of them or correct its size",
     )
     assert "FCL" in overlaps.engine
+
+
+def test_a_part_on_its_table_is_carried_by_it_and_is_no_note() -> None:
+    stands = found(TABLE_TOP)
+    assert (stands.supported_by, stands.tipping, stands.note, stands.attention) == (("table",), (), (), ())
+    assert stands.support_margin_m == pytest.approx(RADIUS, rel=0.1)
+    assert stands.overhang_m == 0.0
+
+
+def test_a_part_that_reaches_over_the_edge_is_a_note_and_one_that_would_tip_a_finding() -> None:
+    half = found(TABLE_TOP, xy=(TABLE_EDGE - 0.01, 0.0))
+    assert half.attention == ()
+    assert half.note == (
+        f"the part reaches {1e3 * (RADIUS - 0.01):.1f} mm beyond table; its centre of mass is supported, "
+        "10.0 mm from the edge",
+    )
+    tips = found(TABLE_TOP, xy=(TABLE_EDGE + 0.01, 0.0))
+    assert tips.attention == tips.tipping
+    assert tips.tipping == (
+        "the part would tip: its centre of mass lies 10.0 mm outside of where it stands on table: "
+        "move it, or model what holds it",
+    )
+    assert tips.note == ()
+    assert (tips.support_margin_m, tips.overhang_m) == (pytest.approx(-0.01), pytest.approx(RADIUS + 0.01))
+
+
+def test_a_part_in_the_air_is_a_note_with_the_distance() -> None:
+    stands = found(TABLE_TOP + 0.012)
+    assert (stands.supported_by, stands.tipping, stands.support_margin_m) == ((), (), np.inf)
+    assert stands.note == ("the part touches nothing: it hangs in the air, 12.0 mm from table; let it rest on a body",)
 
 
 def test_a_pair_that_the_cell_permits_is_left_out() -> None:

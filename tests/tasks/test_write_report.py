@@ -17,6 +17,7 @@ from PIL import Image
 from cellwright.causes import Cause
 from schemas.inspection_summary import METRICS, cover_words, summarise
 from schemas.report import InspectionReport
+from tasks.fit_spheres import SphereParams, fit_spheres
 from tasks.write_report import ReportParams, template_digest, write_report
 from tests.tasks import plan_artefacts as plan
 from tests.tasks.goldens import check_golden
@@ -114,9 +115,9 @@ def test_the_page_says_what_the_summary_says() -> None:
 
 
 def test_sweeps_stand_in_the_order_in_which_they_run() -> None:
-    # number, view, branch, direction, begins, lasts, length, samples, it alone, worst uncertainty
-    assert "1 4 0 along x 0.50 0.50" in page().text
-    assert "2 1 0 along x 1.50 0.50" in page().text
+    # number, begins, lasts, length, direction, samples, it alone, worst uncertainty, view, branch
+    assert re.search(r"\b1 0\.50 0\.50 \d+ along x \d+ \d+ \S+ 4 0\b", page().text)
+    assert re.search(r"\b2 1\.50 0\.50 \d+ along x \d+ \d+ \S+ 1 0\b", page().text)
     assert "nan" not in page().text.lower()
 
 
@@ -128,6 +129,10 @@ def test_the_scene_is_json_of_the_part_its_points_and_the_sweeps() -> None:
         "measured": 4, "collision": 1, "not scanned": 1,
     }  # fmt: skip
     assert scene["sweeps"]["text"] == ["1", "", "", "2", "", ""]
+    assert scene["sweeps"]["hover"][0] == "sweep 1: 80 mm in 0.50 s"
+    for cloud in scene["clouds"]:
+        assert len(cloud["shade"]) == len(cloud["x"]) and set(cloud["shade"]) <= set(range(10))
+        assert len(cloud["uncertainty"]) == (0 if cloud["missed"] else len(cloud["x"]))
     # view 4 stands above (-0.1, 0) and moves along x
     assert scene["sweeps"]["y"][:2] == [0.0, 0.0]
     assert scene["sweeps"]["z"][:3] == [182.0, 182.0, None]
@@ -220,6 +225,7 @@ def test_the_summary_holds_the_figures_that_studies_may_draw() -> None:
 def test_what_needs_attention_is_said_on_top_and_nothing_where_there_is_nothing() -> None:
     assert json.loads(report().summary)["attention"] == []
     assert "What needs attention" not in page().text
+    assert "Note: " not in page().text
     trajectory = plan.changed(
         plan.trajectory(), left_out_view=np.array([3], np.int32), left_out_reason=("no way leads to <it>",)
     )
@@ -230,6 +236,12 @@ def test_what_needs_attention_is_said_on_top_and_nothing_where_there_is_nothing(
     assert summary["unsettled_sweeps"] == 1234
     assert summary["left_out_sweeps"] == [{"view": 3, "reason": "no way leads to <it>"}]
     assert len(summary["attention"]) == 3
+    stands = plan.changed(plan.overlaps(), tipping=("the part would <tip>",), note=("the part reaches far",))
+    tips = written(overlaps=stands)
+    assert json.loads(tips.summary)["attention"][-1] == "the part would <tip>"
+    assert json.loads(tips.summary)["notes"] == ["the part reaches far"]
+    assert "the part would <tip>" in Page(tips.page.decode()).text
+    assert "Note: the part reaches far." in Page(tips.page.decode()).text
     _, _, after = text.partition("What needs attention")
     for words in (
         "part and table stand in one another, by at least 12.1 mm", "view 3 is left out: no way leads to <it>",
@@ -254,6 +266,19 @@ def test_only_what_executed_sweeps_measure_counts_as_covered() -> None:
     )
     summary = json.loads(written(viewpoints=samples_of_their_own(), trajectory=partial).summary)
     assert summary["coverage_of_samples"] == pytest.approx(4 / 6)  # the selection claims all six
+
+
+def test_the_hulls_stand_in_the_report_with_their_picture_and_their_proofs() -> None:
+    spheres = fit_spheres(plan.cell(), None, params=SphereParams(n_spheres=1, n_starts=1, n_spheres_of={"table": 0}))
+    part = fit_spheres(None, plate(), params=SphereParams(n_spheres=3, n_starts=1))
+    shown = Page(written(part_hull=part, cell_hull=spheres).page.decode())
+    assert len(shown.sources) == len(page().sources) + 1
+    n_bodies = 1 + int((spheres.n_spheres > 0).sum())
+    n_spheres = len(part.radius_m) + len(spheres.radius_m)
+    assert f"{n_spheres} spheres hold {n_bodies} bodies; of {n_bodies} it is proven" in shown.text
+    assert "left out: table." in shown.text
+    assert f"part 3 100 % {part.volume_ratio[0]:.2f} {1e3 * part.protrusion_mean_m[0]:.1f} /" in shown.text
+    assert "Sphere hulls" not in page().text
 
 
 def test_after_sweeps_were_excluded_the_fewest_are_not_proven_and_the_bound_says_of_what() -> None:
@@ -291,8 +316,8 @@ def test_a_bound_of_the_order_is_said_to_hold_for_the_connections_found() -> Non
 
 def test_checks_are_told_in_units_of_the_shop_floor() -> None:
     text = page().text
-    assert "joint speed 98 ≤ 100 % of the limit passed" in text
-    assert "distance of bodies 4.3 ≥ 0 mm passed" in text
+    assert "✓ joint speed, of its limit 98% ≤ 100%" in text
+    assert "✓ distance of bodies 4.3 mm ≥ 0 mm" in text
 
 
 def test_a_plan_in_which_nothing_can_be_hit_has_no_least_distance() -> None:

@@ -8,7 +8,7 @@ not depend on the number of threads.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -32,6 +32,8 @@ from cellwright.errors import CellwrightError, InvalidInputError, listed
 from cellwright.solvers.spheres.fitting import DEFAULTS, MOST_SPHERES, FitSettings, SphereFit, fit_spheres
 from cellwright.threads import map_slices
 
+_SHARING, _FITTING = 0.2, 0.9
+"""Shares of the progress at which spheres are shared out, and links fitted."""
 _EVENING = 1.6
 """Power of the excess volume that spheres are shared by."""
 
@@ -77,6 +79,7 @@ def spherize_robot(
     settings: FitSettings = DEFAULTS,
     share: bool = True,
     n_threads: int | None = None,
+    progress: Callable[[float], None] = lambda share: None,
 ) -> SpherizedRobot:
     """Fit spheres to every link.
 
@@ -89,6 +92,7 @@ def spherize_robot(
         share: Whether links that are hard to fit get more spheres and others fewer, as many in all; not where
             ``n_spheres`` names the links.
         n_threads: Threads; ``None`` takes the cores that the process may use.
+        progress: Hears the share of the work done.
 
     Raises:
         InvalidInputError: If the URDF or a mesh is malformed or missing, or a link has no number of spheres.
@@ -102,9 +106,21 @@ def spherize_robot(
         if missing:
             raise InvalidInputError(f"link {listed(missing)} is given no number of spheres: add it")
     numbers = [n_spheres[link] if isinstance(n_spheres, Mapping) else n_spheres for link in fitted]
+    begun = 0.0
     if share and not isinstance(n_spheres, Mapping):
-        numbers = shared_numbers(fitted, numbers, generator, settings, n_threads=n_threads)
-    fits = dict(zip(fitted, fit_many(fitted, numbers, generator, settings, n_threads=n_threads)))
+        numbers = shared_numbers(
+            fitted, numbers, generator, settings, n_threads=n_threads, progress=lambda done: progress(_SHARING * done)
+        )
+        begun = _SHARING
+    found_fits = fit_many(
+        fitted,
+        numbers,
+        generator,
+        settings,
+        n_threads=n_threads,
+        progress=lambda done: progress(begun + (_FITTING - begun) * done),
+    )
+    fits = dict(zip(fitted, found_fits))
     links = []
     for link, found in shapes.items():
         given = spheres_among(found)
@@ -113,6 +129,7 @@ def spherize_robot(
         links.append(LinkHull(link, centres, radii, fit))
     pairs = _pairs(urdf_text, links, generator)
     hulls = {hull.link: (hull.centres, hull.radii) for hull in links}
+    progress(1.0)
     robot = SpherizedRobot(spherized_urdf(urdf_text, hulls), "", tuple(links), pairs)
     return SpherizedRobot(robot.urdf, srdf_text(tree.name, robot.ignored()), robot.links, pairs)
 
@@ -124,6 +141,7 @@ def shared_numbers(
     settings: FitSettings = DEFAULTS,
     *,
     n_threads: int | None = None,
+    progress: Callable[[float], None] = lambda share: None,
 ) -> list[int]:
     """Share the same number of spheres out anew: more to meshes whose hull has more volume than they have.
 
@@ -134,7 +152,7 @@ def shared_numbers(
         CellwrightError: As `fit_spheres` does.
     """
     quick = replace(settings, n_starts=1)
-    fits = fit_many(meshes, n_spheres, generator, quick, n_threads=n_threads)
+    fits = fit_many(meshes, n_spheres, generator, quick, n_threads=n_threads, progress=progress)
     excess = np.array([max(fit.metrics.volume_ratio - 1.0, 0.05) for fit in fits])
     weight = excess**_EVENING
     # everybody keeps a quarter of what they had: a quick fit says little of much smaller numbers
@@ -153,6 +171,7 @@ def fit_many(
     settings: FitSettings = DEFAULTS,
     *,
     n_threads: int | None = None,
+    progress: Callable[[float], None] = lambda share: None,
 ) -> list[SphereFit]:
     """Fit spheres to several named meshes side by side; errors name the mesh.
 
@@ -168,7 +187,11 @@ def fit_many(
         except CellwrightError as error:
             raise type(error)(f"{name}: {error}") from error
 
-    return list(map_slices(fit, len(names), 1, n_threads=n_threads))
+    fits: list[SphereFit] = []
+    for each in map_slices(fit, len(names), 1, n_threads=n_threads):
+        fits.append(each)
+        progress(len(fits) / len(names))
+    return fits
 
 
 def _pairs(urdf_text: str, links: Sequence[LinkHull], generator: np.random.Generator) -> HullPairs:

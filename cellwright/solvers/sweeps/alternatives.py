@@ -9,7 +9,8 @@ where its branch does.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -61,10 +62,18 @@ class SweepPath:
     travel: FloatArray
     position: FloatArray
 
-    def timed(self, limits: Limits, speed: float, acceleration: float, sample: float) -> TimedMotion:
+    def timed(
+        self,
+        limits: Limits,
+        speed: float,
+        acceleration: float,
+        sample: float,
+        moving: tuple[bool, bool] = (False, False),
+    ) -> TimedMotion:
         """Time the sweep from rest to rest; the last coordinate of the motion is the travel in m.
 
-        ``speed`` (m/s) and ``acceleration`` (m/s^2) bound the travel besides the joints' limits.
+        ``speed`` (m/s) and ``acceleration`` (m/s^2) bound the travel besides the joints' limits; with ``moving`` the
+        first or the last pose is passed at speed.
 
         Raises:
             SolverError: If no timing was found.
@@ -72,14 +81,15 @@ class SweepPath:
         from scipy.interpolate import CubicSpline
 
         path = CubicSpline(self.travel, np.column_stack([self.position, self.travel]))
-        return time_path(path, self.travel, limits.with_travel(speed, acceleration), sample)
+        return time_path(path, self.travel, limits.with_travel(speed, acceleration), sample, moving)
 
 
 @dataclass(frozen=True)
 class SweepSettings:
     """How sweeps are traced and timed: limits of joints, speed and acceleration of the travel, SI units.
 
-    ``sample`` is the time between states, ``trace_step`` the travel between traced poses.
+    ``sample`` is the time between states, ``trace_step`` the travel between traced poses, ``moving`` says which ends,
+    forwards, are passed at speed.
     """
 
     limits: Limits
@@ -87,6 +97,7 @@ class SweepSettings:
     acceleration: float
     sample: float
     trace_step: float
+    moving: tuple[bool, bool] = (False, False)
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,6 +135,21 @@ def sweep_options(
     cell: Cell, sweep: PlannedSweep, number: int, settings: SweepSettings, count: int
 ) -> list[SweepOption]:
     """Return up to ``count`` alternatives of a sweep, each forwards and then backwards; none if none can be timed."""
+    return options_by_ends(cell, sweep, number, settings, count, (settings.moving,))[settings.moving]
+
+
+def options_by_ends(
+    cell: Cell,
+    sweep: PlannedSweep,
+    number: int,
+    settings: SweepSettings,
+    count: int,
+    ends: Sequence[tuple[bool, bool]],
+) -> dict[tuple[bool, bool], list[SweepOption]]:
+    """Return the options of a sweep for each of ``ends``: which end of the forward motion is passed at speed.
+
+    Of the options run backwards it is the other end. All are traced alike; the first of ``ends`` decides how finely.
+    """
     for trace, step in enumerate((settings.trace_step, settings.trace_step * FINER_TRACE)):
         paths = {
             (trace, row): _straightened(cell, sweep, path, _largest_bend(sweep, settings))
@@ -134,9 +160,13 @@ def sweep_options(
                 )
             )
         }
-        if found := _timed_options(cell, paths, number, settings, count):
-            return found
-    return []
+        if found := _timed_options(cell, paths, number, replace(settings, moving=ends[0]), count):
+            others = {
+                moving: _timed_options(cell, paths, number, replace(settings, moving=moving), count)
+                for moving in ends[1:]
+            }
+            return {ends[0]: found, **others}
+    return {moving: [] for moving in ends}
 
 
 def _timed_options(
@@ -189,7 +219,8 @@ def _steady_motion(cell: Cell, path: SweepPath, settings: SweepSettings) -> Time
     """Time a sweep so that the scanner itself, not only the travel, keeps its acceleration."""
     tried: list[tuple[float, TimedMotion]] = []
     for share in CLOSER_STATES:
-        motion = path.timed(settings.limits, settings.speed, settings.acceleration, share * settings.sample)
+        sample = share * settings.sample
+        motion = path.timed(settings.limits, settings.speed, settings.acceleration, sample, settings.moving)
         joints = motion.of_first(path.position.shape[1])
         worst = float(scanner_acceleration(cell, joints).max()) / settings.acceleration
         if worst <= 1.0 + SHAKE_TOLERANCE:

@@ -82,7 +82,7 @@ def test_axes_next_to_one_line_are_not_in_one_line() -> None:
 
 
 def test_without_regular_trials_nothing_is_proven(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(ik, "dependent_axes", lambda chain: None)
+    monkeypatch.setattr(ik, "singular_fault", lambda chain: None)
     for maker in ("_by_parallel_axes", "_by_eaik", "_by_offset_wrist"):
         monkeypatch.setattr(ik, maker, lambda chain: None)
     monkeypatch.setattr(ik, "_by_ssik", lambda chain: None)

@@ -8,7 +8,16 @@ from hypothesis import strategies as st
 from cellwright.arrays import FloatArray
 from cellwright.cell.bodies import Mesh
 from cellwright.cell.mesh_repair import RepairedMesh, repair_mesh
-from cellwright.cell.parametric_parts import box, grooved_cylinder, plate_with_pocket, prism, revolve, stl_bytes
+from cellwright.cell.parametric_parts import (
+    box,
+    floor_panel,
+    grooved_cylinder,
+    panel_height,
+    plate_with_pocket,
+    prism,
+    revolve,
+    stl_bytes,
+)
 from cellwright.cell.part import read_mesh
 from cellwright.errors import InvalidInputError
 
@@ -82,3 +91,24 @@ def test_a_pocket_or_profile_that_makes_no_solid_is_refused() -> None:
         plate_with_pocket(pocket=(0.2, 0.01, 0.01))
     with pytest.raises(InvalidInputError, match="give positive radii"):
         revolve(np.array([[0.0, 0.0], [1.0, 1.0]]), 8)
+
+
+def test_the_floor_panel_is_a_closed_sheet_of_even_upright_thickness():
+    mesh = floor_panel(thickness=0.01)
+    corners = mesh.vertices[mesh.faces]
+    edges = np.concatenate([mesh.faces[:, [0, 1]], mesh.faces[:, [1, 2]], mesh.faces[:, [2, 0]]])
+    assert {tuple(edge) for edge in edges.tolist()} == {tuple(edge) for edge in edges[:, ::-1].tolist()}
+    assert len(np.unique(edges, axis=0)) == len(edges)
+    volume = np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])).sum() / 6.0
+    assert volume == pytest.approx(1.4 * 2.1 * 0.01, rel=1e-6)
+    half = len(mesh.vertices) // 2
+    assert np.allclose(mesh.vertices[:half, 2], panel_height(mesh.vertices[:half, 0], mesh.vertices[:half, 1]))
+
+
+def test_the_shipped_floor_panel_is_the_one_that_is_built_here():
+    assert (EXAMPLES / "floor_panel.stl").read_bytes() == stl_bytes(floor_panel())
+
+
+def test_a_panel_without_thickness_is_refused():
+    with pytest.raises(InvalidInputError, match="thickness"):
+        floor_panel(thickness=0.0)

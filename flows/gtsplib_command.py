@@ -1,0 +1,117 @@
+"""Solve a GTSPLIB file from the command line: cost, bound, gap, tour."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from cellwright.errors import InvalidInputError
+from flows.result_folder import prepare_folder, write_files
+from flows.subcommands import print_summary
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from cellwright.solvers.gtsp.problem import SequencingResult
+
+UNLIMITED_ROUNDS = 10**9
+
+
+@dataclass(frozen=True)
+class SolvedFile:
+    """A solved GTSPLIB file, ready to be shown; nodes and sets are counted from 1, as in the file."""
+
+    file: Path
+    result: SequencingResult
+    seconds: float
+    tour_file: Path | None
+
+    def as_json(self) -> Mapping[str, Any]:
+        """Return the result as plain values."""
+        result = self.result
+        return {
+            "file": str(self.file),
+            "cost": result.cost,
+            "lower_bound": result.lower_bound,
+            "gap": result.gap,
+            "proven": result.proven,
+            "stopped_by": result.stopped_by,
+            "seconds": self.seconds,
+            "tour": [int(node) + 1 for node in result.nodes],
+            "sets": [int(cluster) + 1 for cluster in result.clusters],
+            "tour_file": None if self.tour_file is None else str(self.tour_file),
+        }
+
+    def show(self, console: Console) -> None:
+        """Print cost, bound and tour."""
+        result = self.result
+        proof = "proven cheapest" if result.proven else f"gap {result.gap:.2%}, stopped by {result.stopped_by}"
+        console.print(f"{self.file.name}: cost {result.cost:g}, lower bound {result.lower_bound:g} ({proof})")
+        console.print(f"found in {self.seconds:.1f} s")
+        console.print(f"tour: {' '.join(str(int(node) + 1) for node in result.nodes)}", soft_wrap=True)
+        if self.tour_file is not None:
+            console.print(f"written: {self.tour_file}", soft_wrap=True)
+
+
+def solve_file(options: argparse.Namespace) -> int:
+    """Read and solve a GTSPLIB file, print the tour, write it if asked for; return the exit code.
+
+    Raises:
+        InvalidInputError: If the file or an option is malformed, or the tour cannot be written.
+    """
+    import numpy as np
+
+    from cellwright.solvers.gtsp.gtsplib import read_gtsplib
+    from cellwright.solvers.sequencing import DEFAULT_ROUNDS, solve_sequence
+    from flows.caches import use_own_caches
+
+    if options.overrides:
+        raise InvalidInputError("--set lays settings over a sequence file, and a GTSPLIB file has none: leave it out")
+    limit, seed = options.time_limit, 0 if options.seed is None else options.seed
+    if limit is not None and not (limit > 0.0 and math.isfinite(limit)):
+        raise InvalidInputError(f"--time-limit {limit:g}: give seconds above 0")
+    if seed < 0:
+        raise InvalidInputError(f"--seed {seed}: give a whole number of at least 0")
+    use_own_caches()
+    path = Path(options.file).expanduser()
+    if not path.is_file():
+        raise InvalidInputError(f"there is no GTSPLIB file {path}: check the path")
+    problem = read_gtsplib(path)
+    if options.out is not None and options.out.is_dir():
+        raise InvalidInputError(f"--out {options.out} is a folder: name the file that the tour is written to")
+    if options.out is not None:
+        prepare_folder(options.out.parent)
+    begun = time.monotonic()
+    result = solve_sequence(
+        problem,
+        np.random.default_rng(seed),
+        n_rounds=DEFAULT_ROUNDS if limit is None else UNLIMITED_ROUNDS,
+        stop=None if limit is None else lambda: time.monotonic() - begun > limit,
+    )
+    seconds = time.monotonic() - begun
+    if options.out is not None:
+        write_files(options.out.parent, {options.out.name: _tour_text(path, result).encode()})
+    print_summary(SolvedFile(path, result, seconds, options.out), as_json=options.json)
+    sys.stdout.flush()
+    return 0
+
+
+def _tour_text(path: Path, result: SequencingResult) -> str:
+    """Return the tour in the words of TSPLIB: nodes counted from 1, -1 at the end."""
+    lines = [
+        f"NAME : {path.stem}.tour",
+        f"COMMENT : cost {result.cost:g}, lower bound {result.lower_bound:g}",
+        "TYPE : TOUR",
+        f"DIMENSION : {len(result.nodes)}",
+        "TOUR_SECTION",
+        *(str(int(node) + 1) for node in result.nodes),
+        "-1",
+        "EOF",
+    ]
+    return "\n".join(lines) + "\n"

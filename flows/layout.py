@@ -1,0 +1,172 @@
+"""The flow `layout`: from a layout file to the places of all stations, the robot's cycle, and their report.
+
+`plan_layout` chains the stages and says nothing else; `run` is what command line, studies and tests call. A layout
+that misses its gate is an error; a study may ask for the attempt instead (``attempt=True``).
+"""
+
+from __future__ import annotations
+
+import html
+import uuid
+from collections.abc import Collection, Sequence
+from contextvars import ContextVar
+from pathlib import Path
+from typing import Any
+
+import tasks
+from cellwright.errors import InfeasibleError
+from flows.caches import use_own_caches
+from flows.execution import Unwatched, Watcher, open_lake
+from flows.layout_requests import LayoutRequest, layout_request
+from flows.layout_result import LayoutResult, computing_seconds
+from flows.result_folder import prepare_folder, write_files
+from flows.runner import Step, Steps
+from schemas.layout_file import LayoutFile, load_layout_file
+from schemas.layout_summary import refusal_of, summary_of
+from storage.lake import Lake
+
+_WATCHER: ContextVar[Watcher | None] = ContextVar("layout_watcher", default=None)
+_RUN_MARK = "<!--RUN-->"
+
+
+def run(
+    layout_file: Path | LayoutFile,
+    *,
+    overrides: Sequence[str] = (),
+    lake: str,
+    refresh: Collection[str] = frozenset(),
+    out: Path | None = None,
+    watcher: Watcher | None = None,
+    direct: bool = False,
+    attempt: bool = False,
+) -> LayoutResult:
+    """Optimise, record and report the layout that a file describes.
+
+    Args:
+        layout_file: The layout file, or what was loaded from it.
+        overrides: Settings ``path=value`` laid over it, unless it is loaded.
+        lake: Folder or address of the lake.
+        refresh: Stages to compute although the lake has them.
+        out: Folder for report, recording and figures; nothing is exported if left out.
+        watcher: Hears of the stages while they run.
+        direct: Run without Prefect, one stage after the other.
+        attempt: Stop after the optimisation, and hand back what missed its gate too.
+
+    Raises:
+        InvalidInputError: If the file, a mesh or the robot are malformed, the layout overlaps where it is placed, or
+            the folder cannot be written.
+        InfeasibleError: If no start passed its gate: which constraint blocks, and the smallest relaxation.
+        LakeError: If the lake fails.
+    """
+    use_own_caches()
+    file = load_layout_file(layout_file, overrides) if isinstance(layout_file, Path) else layout_file
+    request = layout_request(file)
+    if out is not None:
+        prepare_folder(out)
+    watching = _WATCHER.set(watcher)
+    try:
+        if direct:
+            result = optimise_and_report(request, lake, refresh, uuid.uuid4().hex, direct=True, attempt=attempt)
+        else:
+            from flows.layout_flow import layout
+
+            result = layout(request, lake, sorted(refresh), attempt)
+    finally:
+        _WATCHER.reset(watching)
+    if out is not None and not attempt:
+        result.files.update(export(open_lake(lake), result, out))
+    return result
+
+
+def optimise_and_report(
+    request: LayoutRequest, lake_url: str, refresh: Collection[str], run_id: str, *, direct: bool, attempt: bool
+) -> LayoutResult:
+    """Run the chain, write down what the run used, and gather its figures."""
+    lake = open_lake(lake_url)
+    watcher = _WATCHER.get() or Unwatched()
+    facts = {"flow": "layout", "cell": request.name}
+    with Steps(lake_url, refresh=refresh, watcher=watcher, direct=direct, run_id=run_id, facts=facts) as step:
+        steps = plan_layout(step, request, lake, attempt=attempt)
+        return _result(request, lake, run_id, steps, step)
+
+
+def plan_layout(step: Steps, request: LayoutRequest, lake: Lake, *, attempt: bool = False) -> dict[str, Step]:
+    """Chain the stages of a layout; returns the steps by the name of what they make.
+
+    Raises:
+        InfeasibleError: If no start passed its gate, unless an ``attempt`` is asked for.
+    """
+    urdf = None if request.urdf is None else step(tasks.read_source, request.urdf, label=request.urdf.name)
+    meshes = tuple(step(tasks.read_source, source, label=source.name) for source in request.robot_files)
+    bodies = tuple(step(tasks.read_source, source, label=source.name) for source in request.body_files)
+    of_robot = meshes if urdf is None else (urdf, *meshes)
+    robot = None if request.robot_hull is None else step(tasks.spherize_robot, request.robot_hull, files=of_robot)
+    hulls = None if request.cover is None else step(tasks.cover_bodies, request.cover, files=bodies)
+    given: dict[str, Any] = {"urdf": urdf, "robot": robot, "hulls": hulls}
+    layout = step(tasks.optimise_layout, request.layout, **given)
+    steps = {"urdf": urdf, "robot": robot, "hulls": hulls, "layout": layout}
+    made = {name: each for name, each in steps.items() if each is not None}
+    if attempt:
+        return made
+    found: Any = lake.load(layout.ref())
+    if not found.converged:
+        raise InfeasibleError(refusal_of(found))
+    recording = step(tasks.record_layout, request.recording, files=(*meshes, *bodies), layout=layout, **given)
+    report = step(tasks.write_layout_report, request.report, layout=layout, **given)
+    return {**made, "recording": recording, "report": report}
+
+
+def _result(request: LayoutRequest, lake: Lake, run_id: str, steps: dict[str, Step], step: Steps) -> LayoutResult:
+    refs = {name: each.ref() for name, each in steps.items()}
+    records = step.records()
+    seconds = {record.name: computing_seconds(lake, record) for record in records}
+    layout: Any = lake.load(refs["layout"])
+    report: Any = lake.load(refs["report"]) if "report" in refs else None
+    return LayoutResult(
+        request.name,
+        run_id,
+        refs,
+        records,
+        {name: spent for name, (spent, _) in seconds.items()},
+        seconds["optimise_layout"][1],
+        summary_of(layout),
+        report,
+    )
+
+
+def export(lake: Lake, result: LayoutResult, folder: Path) -> dict[str, Path]:
+    """Write a layout's files and return their paths by what they are.
+
+    Raises:
+        InvalidInputError: If the folder cannot be written.
+        LakeError: If the lake has lost a file since the run.
+    """
+    page = "" if result.report is None else result.report.page.decode().replace(_RUN_MARK, run_section(result))
+    contents = {
+        "report": ("report.html", page.encode()),
+        "recording (Foxglove, Rerun)": ("layout.mcap", lake.read(result.refs["recording"], "recording.mcap")),
+        "layout": ("layout.parquet", lake.read(result.refs["layout"], "design.parquet")),
+        "motion": ("motion.parquet", lake.read(result.refs["layout"], "states.parquet")),
+        "starts": ("starts.parquet", lake.read(result.refs["layout"], "starts.parquet")),
+        "summary": ("summary.json", result.summary_file()),
+        **{f"figure: {name}": (f"{name}.png", picture) for name, picture in result.pictures().items()},
+    }
+    write_files(folder, dict(contents.values()), mark=contents["summary"][0])
+    return {what: folder / name for what, (name, _) in contents.items()}
+
+
+def run_section(result: LayoutResult) -> str:
+    """Return the part of the report that belongs to one run: stage timings, as HTML."""
+    rows = "".join(
+        f"<tr><td>{html.escape(record.name)}</td><td>{result.stage_seconds[record.name]:.2f}</td>"
+        f"<td>{'from the lake' if record.cached else 'computed'}</td><td>{record.version}</td>"
+        f'<td class="words"><code>{record.ref.kind}/{record.ref.digest[:12]}</code></td></tr>'
+        for record in result.records
+    )
+    cpu = "" if result.cpu_s is None else f" The optimisation took {result.cpu_s:.2f} s of processor time."
+    return (
+        "<h2>Stages</h2><p class='lead'>Seconds that each stage took when it was computed, in this run or in an "
+        f"earlier one.{cpu}</p><div class='card'><table><tr><th>stage</th><th>seconds</th><th>in this run</th>"
+        f"<th>version</th><th class='words'>artefact</th></tr>{rows}</table></div>"
+        f"<p class='lead'>Run {html.escape(result.run_id)}.</p>"
+    )

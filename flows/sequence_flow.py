@@ -1,0 +1,25 @@
+"""The Prefect side of `sequence`: the flow, and what it leaves in Prefect's user interface."""
+
+from __future__ import annotations
+
+import base64
+
+from prefect import flow, runtime
+from prefect.artifacts import create_image_artifact, create_markdown_artifact
+
+from flows.runner import task_runner
+from flows.sequence import sequence_and_record
+from flows.sequence_requests import SequenceRequest
+from flows.sequence_result import SequenceResult
+
+
+@flow(name="sequence", task_runner=task_runner(), persist_result=False)
+def sequence(request: SequenceRequest, lake: str, refresh: list[str] | None = None) -> SequenceResult:
+    """Find, verify and report the sequence of tasks at poses; every stage comes from the lake if it is there."""
+    run_id = str(runtime.flow_run.id)
+    result = sequence_and_record(request, lake, frozenset(refresh or ()), run_id=run_id, direct=False)
+    create_markdown_artifact(result.as_markdown(), key="sequence-summary", description=request.name)
+    for name, picture in result.pictures().items():
+        data = base64.b64encode(picture).decode()
+        create_image_artifact(f"data:image/png;base64,{data}", key=f"sequence-figure-{name}", description=name)
+    return result

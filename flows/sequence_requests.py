@@ -1,0 +1,175 @@
+"""Turn a sequence file into the parameters of every stage: the one place that knows both."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from cellwright.cell.built_in_robots import built_in_digest
+from cellwright.cell.part import METRES_PER_UNIT
+from cellwright.errors import InvalidInputError, listed
+from flows.requests import add_urdf, body_params
+from schemas.payload import PayloadParams
+from schemas.poses import Pose
+from schemas.sequence_file import DynamicsSection, SequenceFile
+from tasks.assemble_cell import CellModelParams
+from tasks.generate_alternatives import AlternativeParams
+from tasks.list_tasks import TaskListParams, TaskParams
+from tasks.read_source import SourceParams
+from tasks.record_sequence import SequenceRecordingParams
+from tasks.sequence_tasks import DynamicsParams, SequenceParams
+from tasks.verify_sequence import SequenceVerifyParams
+from tasks.write_sequence_report import SequenceReportParams, sequence_template_digest
+
+
+class SequenceRequest(BaseModel):
+    """Everything that decides a sequence, stage by stage."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    name: str = Field(description="Name of the cell.")
+    cell_files: tuple[SourceParams, ...] = Field(default=(), description="URDF, its meshes, meshes of other bodies.")
+    table: SourceParams | None = Field(default=None, description="Table of tasks.")
+    cell: CellModelParams
+    tasks: TaskListParams
+    alternatives: AlternativeParams
+    sequence: SequenceParams
+    verification: SequenceVerifyParams
+    recording: SequenceRecordingParams = SequenceRecordingParams()
+    report: SequenceReportParams
+
+
+def sequence_request(file: SequenceFile) -> SequenceRequest:
+    """Return the request that a sequence file makes.
+
+    Raises:
+        InvalidInputError: If a file that it names is malformed or missing, or a stage does not take a value.
+    """
+    try:
+        return _request(file)
+    except ValidationError as error:  # a stage is stricter than the file
+        faults = [
+            f"{'.'.join(map(str, fault['loc']))}: {fault['msg']} (got {fault['input']!r})" for fault in error.errors()
+        ]
+        raise InvalidInputError(
+            f"{file.path}: {error.title} does not take {listed(faults)}: change the value"
+        ) from error
+
+
+def _request(file: SequenceFile) -> SequenceRequest:
+    planner = file.planner
+    cell_files, cell = _cell(file)
+    end = None if isinstance(planner.end, str) else planner.end
+    rules: dict[str, Any] = {
+        "from_start": planner.start == "home",
+        "returns": planner.end == "return",
+        "end_rad": end,
+    }
+    payload = _payload(file)
+    return SequenceRequest(
+        name=file.name,
+        cell_files=cell_files,
+        table=None if file.tasks.file is None else SourceParams.of(file.tasks.file),
+        cell=cell,
+        tasks=_tasks(file),
+        alternatives=AlternativeParams(
+            max_alternatives=planner.max_alternatives, clearance_m=planner.clearance_m, touches=file.tool.touches
+        ),
+        sequence=SequenceParams(
+            cost=planner.cost,
+            motions=planner.motions,
+            dynamics=_dynamics(file, payload),
+            **rules,
+            max_motions=planner.max_motions,
+            max_work=planner.max_work,
+            target_gap=planner.target_gap,
+            clearance_m=planner.clearance_m,
+            roadmap_nodes=planner.roadmap_nodes,
+            neighbours=planner.neighbours,
+            step_rad=planner.step_rad,
+            # no point moves further between confirmed states than bodies stay apart
+            confirm_step_m=min(max(planner.clearance_m, 1e-3), 2e-3),
+            seed=planner.seed,
+        ),
+        verification=SequenceVerifyParams(
+            **rules,
+            touches=file.tool.touches,
+            by_torque=(by_torque := "optimal_control" in (planner.cost, planner.motions)),
+            payload=payload if by_torque else None,
+        ),
+        report=SequenceReportParams(
+            title=file.report.title or file.name,
+            notes=file.report.notes or "",
+            template_sha256=sequence_template_digest(),
+        ),
+    )
+
+
+def _payload(file: SequenceFile) -> PayloadParams | None:
+    given = file.tool.payload
+    return None if given is None else PayloadParams(mass_kg=given.mass_kg, centre_m=given.centre_m)
+
+
+def _dynamics(file: SequenceFile, payload: PayloadParams | None) -> DynamicsParams | None:
+    """Return how dynamics are weighed, nothing where the file does not ask for them."""
+    planner = file.planner
+    given = planner.dynamics
+    if given is None and "optimal_control" not in (planner.cost, planner.motions):
+        return None
+    given = given or DynamicsSection()
+    return DynamicsParams(
+        time_per_s=given.time_per_s, effort=given.effort, velocity=given.velocity, n_steps=given.steps, payload=payload
+    )
+
+
+def _tasks(file: SequenceFile) -> TaskListParams:
+    shared = file.tasks
+    rows = []
+    for task in shared.list:
+        quaternion = None
+        if task.direction is None:
+            quaternion = task.pose().quaternion
+        rows.append(
+            TaskParams(
+                name=task.name,
+                position_m=task.position_m,
+                direction=task.direction,
+                quaternion=quaternion,
+                n_rotations=task.rotations,
+                dwell_s=task.dwell_s,
+                approach_m=task.approach_m,
+                after=task.after,
+            )
+        )
+    return TaskListParams(
+        tasks=tuple(rows),
+        T_world_tasks=Pose.of(file.T_world_tasks()),
+        metres_per_unit=METRES_PER_UNIT[shared.unit],
+        n_rotations=shared.rotations,
+        dwell_s=shared.dwell_s,
+        approach_m=shared.approach_m,
+    )
+
+
+def _cell(file: SequenceFile) -> tuple[tuple[SourceParams, ...], CellModelParams]:
+    """Return the files that the cell is made of, each once, and how it is put together."""
+    sources: dict[str, SourceParams] = {}
+    robot = file.robot.model if file.robot.urdf is None else add_urdf(file.robot, sources)
+    params = CellModelParams(
+        robot=robot,
+        robot_sha256=built_in_digest(robot) if file.robot.urdf is None else "",
+        base_link=file.robot.base_link,
+        flange_link=file.robot.flange_link,
+        T_world_base=file.robot.base.pose(),
+        T_flange_scanner=file.tool.tip.pose(),
+        housing=tuple(body_params(body, sources) for body in file.tool.bodies),
+        bodies=tuple(body_params(body, sources) for body in file.bodies()),
+        start_rad=file.robot.start_rad,
+        lower_rad=file.robot.lower_rad,
+        upper_rad=file.robot.upper_rad,
+        max_velocity_rad_s=file.robot.max_velocity_rad_s,
+        max_acceleration_rad_s2=file.robot.max_acceleration_rad_s2,
+        ignored_pairs=file.may_touch,
+    )
+    return tuple(sources.values()), params

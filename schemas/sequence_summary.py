@@ -1,0 +1,142 @@
+"""The figures of a sequence, gathered from its artefacts: for the report and the command line."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from schemas.motion import Verification
+from schemas.tasks import TaskAlternatives, TaskList, TaskSequence
+
+MOTION = "motion"
+OPTIMAL = "optimal control"
+"""How motions of optimal control were found."""
+
+SEQUENCE_METRICS = frozenset(
+    {
+        "tasks",
+        "alternatives",
+        "alternatives_fewest",
+        "alternatives_most",
+        "cost",
+        "lower_bound",
+        "gap",
+        "motions_planned",
+        "motions_possible",
+        "duration_s",
+        "moving_s",
+        "strokes_s",
+        "dwell_s",
+        "direct_motions",
+        "detours",
+        "optimal_motions",
+        "verified_states",
+        "least_distance_m",
+        "proven_distance_m",
+        "weighted_cost",
+        "weighted_travel",
+        "weighted_work",
+        "weighted_strokes",
+        "weighted_holding",
+        "weighted_time",
+        "weighted_effort",
+        "weighted_velocity",
+        "torque_share",
+    }
+)
+"""Figures of a sequence that studies may show."""
+
+
+def summarise_sequence(
+    tasks: TaskList, alternatives: TaskAlternatives, sequence: TaskSequence, verification: Verification
+) -> dict[str, Any]:
+    """Return the figures of a sequence as plain JSON values, units in the names."""
+    lengths = sequence.end_s - sequence.start_s
+    motion = np.array([kind == MOTION for kind in sequence.kind], bool)
+    dwell = float((sequence.leave_s - sequence.arrive_s).sum())
+    per_task = np.bincount(alternatives.task, minlength=len(tasks.name))
+    gap = 0.0 if sequence.cost <= 0 else max(0.0, 1.0 - sequence.lower_bound / sequence.cost)
+    return {
+        "tasks": len(tasks.name),
+        "alternatives": len(alternatives.task),
+        "alternatives_fewest": int(per_task.min()),
+        "alternatives_most": int(per_task.max()),
+        "cost_of": sequence.cost_name,
+        "unit": sequence.unit,
+        "cost": sequence.cost,
+        "lower_bound": sequence.lower_bound,
+        "gap": gap,
+        "proven": sequence.proven,
+        "stopped_by": sequence.stopped_by,
+        "motions_planned": sequence.n_evaluated,
+        "motions_possible": sequence.n_motions,
+        "orders": {
+            name: cost if math.isfinite(cost) else None
+            for name, cost in zip(sequence.order, sequence.order_cost.tolist(), strict=True)
+        },
+        "duration_s": float(sequence.time_s[-1]),
+        "moving_s": float(lengths[motion].sum()),
+        "strokes_s": float(lengths[~motion].sum()) - dwell,
+        "dwell_s": dwell,
+        "direct_motions": sum(via == "direct" for via in sequence.via),
+        "detours": sum(via not in ("direct", OPTIMAL, "") for via in sequence.via),
+        "optimal_motions": sum(via == OPTIMAL for via in sequence.via),
+        "sequence": [tasks.name[row] for row in sequence.task],
+        "arrivals_s": sequence.arrive_s.tolist(),
+        "verified_states": verification.n_states,
+        "verified_by": verification.engine,
+        "least_distance_m": verification.least_distance_m if math.isfinite(verification.least_distance_m) else None,
+        "proven_distance_m": verification.proven_distance_m if math.isfinite(verification.proven_distance_m) else None,
+        "nearest_bodies": list(verification.nearest_bodies),
+        "nearest_s": verification.nearest_s,
+        **_weighted(sequence),
+    }
+
+
+def _weighted(sequence: TaskSequence) -> dict[str, Any]:
+    """Return what the sequence costs in time, torque and speed, and where; none where dynamics do not count."""
+    time, effort, velocity = sequence.weight_time, sequence.weight_effort, sequence.weight_velocity
+    if time <= 0.0:
+        return {}
+    motion = np.array([kind == MOTION for kind in sequence.kind], bool)
+    parts = np.stack(
+        [
+            time * (sequence.end_s - sequence.start_s),
+            effort * sequence.torque_squared_n2m2s,
+            velocity * sequence.speed_squared_rad2_s,
+        ]
+    )  # (parts, segments)
+    stays = sequence.leave_s - sequence.arrive_s
+    holding = float((time * stays + effort * sequence.holding_n2m2s).sum())
+    work = float(parts[:, ~motion].sum())
+    return {
+        "weighted_cost": float(parts.sum()),
+        "weighted_travel": float(parts[:, motion].sum()),
+        "weighted_work": work,
+        "weighted_strokes": max(0.0, work - holding),
+        "weighted_holding": holding,
+        "weighted_time": float(parts[0].sum()),
+        "weighted_effort": float(parts[1].sum()),
+        "weighted_velocity": float(parts[2].sum()),
+        "torque_share": sequence.torque_share,
+    }
+
+
+def distance_words(figures: dict[str, Any]) -> str:
+    """Say how near bodies come; a proven least distance is rounded down."""
+    if figures["least_distance_m"] is None:
+        return "–"
+    at_least = math.floor(1e5 * figures["proven_distance_m"]) / 100
+    between = " and ".join(figures["nearest_bodies"])
+    return f"{1e3 * figures['least_distance_m']:.2f} mm (proven {at_least:.2f}), {between}"
+
+
+def bound_words(figures: dict[str, Any]) -> str:
+    """Say what is proven of the sequence."""
+    unit = figures["unit"]
+    bound = f"{figures['lower_bound']:.2f} {unit}".strip()
+    if figures["proven"]:
+        return f"{bound} (proven: none of these alternatives is cheaper)"
+    return f"{bound} (gap {figures['gap']:.1%}, stopped by {figures['stopped_by']})"

@@ -1,0 +1,242 @@
+"""Find where part or robot should stand so that the selected sweeps take the shortest cycle, all of them in full.
+
+After Baumgaertner 2025: the selected sweeps are the approach trajectories; what moves stands on a harness of design
+joints. Thousands of designs are judged by an optimistic cycle and by tests that only refuse what cannot be executed
+(`cellwright.solvers.layout.placement`); the most promising distinct ones are followed exactly and stitched into true
+plans, and the shortest of these wins if it beats the present one. With hulls of spheres the best are gone on from
+along the gradient of their whole cycle (`cellwright.solvers.layout.placement_refinement`): what that leads to is judged
+and stitched like the others. The hulls also prove how far what moves keeps from what stands. Sight is not looked at
+here: whoever takes the placement measures again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from pydantic import Field
+
+from schemas.layout_params import HarnessParams
+from schemas.motion import Trajectory
+from schemas.params import Params
+from schemas.part import PartMesh
+from schemas.placement import Placement, motion_words
+from schemas.poses import Pose
+from schemas.sources import CellModel
+from schemas.sphere_hull import SphereHull
+from schemas.stage import Progress, no_progress, stage
+from schemas.views import Measurability, Reachability, Viewpoints
+from tasks.follow_sweeps import SweepParams
+from tasks.stitch_sweeps import StitchParams
+
+if TYPE_CHECKING:
+    from cellwright.solvers.layout.bodies import Spheres
+    from cellwright.solvers.layout.placement import PlacementProblem
+    from cellwright.solvers.layout.placement_search import FoundDesigns
+    from cellwright.solvers.layout.placement_trial import Trial
+
+SEARCHING, STITCHING = 0.6, 0.9
+"""Shares of the progress at which designs are judged, and stitched."""
+
+
+class PlacementParams(Params):
+    """Settings of the layout stage."""
+
+    T_world_part: Pose = Field(default=Pose(), description="Pose of the part in the world.")
+    moves: Literal["part", "robot"] = Field(default="part", description="What moves on the harness.")
+    harness: HarnessParams = Field(description="Motion of it in the world; the identity at zero.")
+    carries: tuple[str, ...] = Field(default=(), description="Bodies that move along with the part.")
+    sweeps: SweepParams = Field(default=SweepParams(), description="How sweeps are followed.")
+    stitching: StitchParams = Field(default=StitchParams(), description="How sweeps are connected.")
+    n_evaluations: int = Field(default=3000, ge=1, le=1_000_000, description="Designs judged, at most.")
+    n_stitched: int = Field(default=6, ge=1, le=100, description="Designs stitched into whole plans, at most.")
+    n_refined: int = Field(default=3, ge=0, le=100, description="Of them gone on from along the gradient, at most.")
+    gain_s: float = Field(default=0.01, gt=0, description="Seconds by which a placement must shorten the cycle.")
+    resting_m: float = Field(default=1e-3, ge=0, description="Depth at which bodies still count as resting in contact.")
+    seed: int = Field(default=0, ge=0, description="Seed of the search.")
+
+
+@stage(version=2)
+def optimise_placement(
+    cell: CellModel,
+    mesh: PartMesh,
+    viewpoints: Viewpoints,
+    measurability: Measurability,
+    reachability: Reachability,
+    trajectory: Trajectory,
+    part_hull: SphereHull | None = None,
+    cell_hull: SphereHull | None = None,
+    *,
+    params: PlacementParams,
+    progress: Progress = no_progress,
+) -> Placement:
+    """Find the placement with the shortest cycle through the sweeps that the trajectory executes.
+
+    Args:
+        cell: The cell.
+        mesh: The part.
+        viewpoints: Candidate views.
+        measurability: What they measure with unlimited travel.
+        reachability: Their executable pieces.
+        trajectory: The plan in the present placement.
+        part_hull: Spheres that hold the part; without both hulls no gradient is followed.
+        cell_hull: Spheres that hold the bodies of the cell.
+        params: Settings.
+        progress: Hears the share done.
+
+    Raises:
+        InvalidInputError: If a body that is to be carried does not stand in the world.
+    """
+    from cellwright.solvers.layout.placement import PlacementJudge
+    from cellwright.solvers.layout.placement_search import SearchSettings, search_designs
+    from cellwright.solvers.layout.placement_trial import TrialSettings, try_designs
+    from cellwright.solvers.layout.refined_trials import refine_trials
+    from schemas.placement_objects import placement_problem
+    from schemas.sphere_hull_objects import spheres_by_body
+
+    problem = placement_problem(
+        cell,
+        mesh,
+        viewpoints,
+        measurability,
+        reachability,
+        trajectory,
+        T_world_part=params.T_world_part.matrix(),
+        harness=params.harness.harness(),
+        moves_base=params.moves == "robot",
+        carried=params.carries,
+        follow=params.sweeps.settings(),
+        stitch=params.stitching.settings(),
+    )
+    now = float(trajectory.time_s[-1]) if len(trajectory.time_s) else 0.0
+    if not problem.names or problem.harness.n_joints == 0:
+        return _placement(params, problem, None, [], now)
+    judge = PlacementJudge(problem)
+    found = search_designs(
+        judge,
+        SearchSettings(n_evaluations=params.n_evaluations, n_kept=params.n_stitched),
+        np.random.default_rng(params.seed),
+        progress=lambda share: progress(SEARCHING * share),
+    )
+    settings = TrialSettings(
+        params.stitching.settings(),
+        params.stitching.method,
+        params.stitching.seed,
+        params.resting_m,
+        _declared(cell),
+    )
+    trials = try_designs(
+        problem,
+        found,
+        settings,
+        cycle_now=now - params.gain_s,
+        progress=lambda share: progress(SEARCHING + (STITCHING - SEARCHING) * share),
+    )
+    hulls = spheres_by_body([hull for hull in (part_hull, cell_hull) if hull is not None])
+    if part_hull is not None and cell_hull is not None and params.n_refined:
+        trials += refine_trials(
+            judge,
+            trials,
+            hulls,
+            settings,
+            most=params.n_refined,
+            gain=params.gain_s,
+            progress=lambda share: progress(STITCHING + (1.0 - STITCHING) * share),
+        )
+    progress(1.0)
+    return _placement(params, problem, found, trials, now, hulls)
+
+
+def _declared(cell: CellModel) -> tuple[tuple[int, int], ...]:
+    from cellwright.cell.ignored_pairs import Reason
+
+    return tuple((int(a), int(b)) for a, b in cell.ignored_pair[cell.ignored_reason == Reason.DECLARED])
+
+
+def _placement(
+    params: PlacementParams,
+    problem: PlacementProblem,
+    found: FoundDesigns | None,
+    trials: list[Trial],
+    now: float,
+    hulls: Mapping[str, Spheres] | None = None,
+) -> Placement:
+    """Return the artefact: the best trial if it gains enough, else the present placement and why."""
+    from cellwright.solvers.layout.placement_refinement import proven_gaps
+
+    harness, n_joints = problem.harness, problem.harness.n_joints
+    best = min(trials, key=lambda trial: trial.cycle, default=None)
+    is_better = best is not None and best.cycle < now - params.gain_s
+    values = best.values if is_better and best is not None else np.zeros(n_joints)
+    motion = problem.motion(values) if n_joints else np.eye(4)
+    gaps = proven_gaps(problem, hulls or {}, values)
+    T_world_part, T_world_base = params.T_world_part.matrix(), problem.cell.T_world_base
+    moves_base = params.moves == "robot"
+    return Placement(
+        joint=harness.names,
+        turns=harness.revolute,
+        value=values,
+        lower=harness.lower,
+        upper=harness.upper,
+        carried=params.carries,
+        T_world_part_before=T_world_part,
+        T_world_part=T_world_part if moves_base else motion @ T_world_part,
+        T_world_base_before=T_world_base,
+        T_world_base=motion @ T_world_base if moves_base else T_world_base,
+        T_world_motion=motion,
+        **_refused(found),
+        trace_judged=np.zeros(0, np.int64) if found is None else found.trace[:, 0].astype(np.int64),
+        trace_cycle_s=np.zeros(0) if found is None else found.trace[:, 1],
+        trial_value=np.array([trial.values for trial in trials]).reshape(-1, n_joints),
+        trial_bound_s=np.array([trial.bound for trial in trials], float),
+        trial_cycle_s=np.array([trial.cycle for trial in trials], float),
+        trial_reason=tuple(trial.reason for trial in trials),
+        trial_method=tuple(trial.method for trial in trials),
+        gap_moved=tuple(moved for moved, _ in gaps),
+        gap_standing=tuple(standing for _, standing in gaps),
+        gap_m=np.array(list(gaps.values()), float),
+        moves=params.moves,
+        is_better=is_better,
+        reason=_reason(problem, found, trials, best if is_better else None, now),
+        cycle_before_s=now,
+        cycle_s=best.cycle if is_better and best is not None else now,
+        bound_before_s=now if found is None else min(found.present.cycle, now),
+        n_judged=0 if found is None else found.n_evaluated,
+    )
+
+
+def _refused(found: FoundDesigns | None) -> dict[str, Any]:
+    """Return the columns of what refused designs, the most frequent first."""
+    from cellwright.causes import Cause
+
+    refused = {} if found is None else found.refused
+    order = sorted(refused, key=lambda key: (-refused[key], key[0].value, key[1], key[2]))
+    return {
+        "refused_test": tuple(test.value for test, _, _ in order),
+        "refused_what": tuple(what for _, what, _ in order),
+        "refused_cause": tuple(Cause(cause).label if cause else "" for _, _, cause in order),
+        "refused_count": np.array([refused[key] for key in order], np.int64),
+    }
+
+
+def _reason(
+    problem: PlacementProblem, found: FoundDesigns | None, trials: list[Trial], best: Trial | None, now: float
+) -> str:
+    if found is None:
+        return "no sweep is executed, so there is no cycle to shorten"
+    n_refused = sum(found.refused.values())
+    judged = f"{found.n_evaluated:,} placements were judged, {n_refused:,} of them cannot execute every sweep"
+    if best is not None:
+        words = motion_words(problem.harness.names, problem.harness.revolute, best.values)
+        return f"{judged}; {words} shortens the cycle by {now - best.cycle:.2f} s"
+    if not len(found.values):
+        return f"{judged}, and no other can"
+    stitched = [trial.cycle for trial in trials if np.isfinite(trial.cycle)]
+    if stitched:
+        return (
+            f"{judged}; the best of {len(trials)} stitched ones takes {min(stitched):.2f} s, not less than {now:.2f} s"
+        )
+    if trials:
+        return f"{judged}; none of the {len(trials)} stitched ones can be executed in full ({trials[0].reason})"
+    return f"{judged}; none can take less than {float(found.cycle[0]):.2f} s, which gains nothing on {now:.2f} s"

@@ -1,0 +1,1 @@
+"""Sections of reports that are too large for the stage that writes the page."""

@@ -1,0 +1,24 @@
+from __future__ import annotations
+
+import io
+
+import numpy as np
+from matplotlib.image import imread
+
+from cellwright.figures.tool_path import orders_chart, tool_path_picture
+from schemas.cell_objects import build_cell
+from tests import small_sequence as small
+
+
+def test_the_way_of_the_tool_is_drawn_even_where_it_leaves_the_cell() -> None:
+    cell = build_cell(small.cell())
+    way = np.array([[0.5, 0.0, 0.5], [0.5, 0.0, 3.0], [0.8, 0.2, 0.5]])
+    picture = imread(io.BytesIO(tool_path_picture(cell, way, way[-1:])))
+    red = (picture[..., 0] > 0.7) & (picture[..., 1] < 0.35) & (picture[..., 2] < 0.4)
+    assert red.sum() > 200 and not red[0].any() and not red[:, 0].any()
+    assert tool_path_picture(cell, way, way[-1:]) == tool_path_picture(cell, way, way[-1:])
+
+
+def test_an_order_without_a_way_is_said_and_not_drawn() -> None:
+    chart = orders_chart({"as listed": np.inf, "sequence": 3.0}, [("motions", 2.0), ("strokes", 1.0)], 2.5, "s")
+    assert imread(io.BytesIO(chart)).shape[0] > 100

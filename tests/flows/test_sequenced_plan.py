@@ -1,0 +1,111 @@
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from cellwright.errors import InvalidInputError
+from flows import inspection
+from flows.inspection_result import InspectionResult
+from flows.requests import request_of
+from storage.lake import Lake
+from tests.small_inspection import CELL, write_cell
+
+SEQUENCING = "sequencing: {cost: optimal_control, steps: 8, max_motions: 6, payload: {mass: 1.5 kg}}\n"
+
+# one worker for all of them, or each would plan the cell anew
+pytestmark = pytest.mark.xdist_group("sequencing")
+
+
+@pytest.fixture(scope="module")
+def cell(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_cell(tmp_path_factory.mktemp("sequencing"), CELL + SEQUENCING)
+
+
+@pytest.fixture(scope="module")
+def lake_url(tmp_path_factory: pytest.TempPathFactory) -> str:
+    return str(tmp_path_factory.mktemp("lake") / "lake")
+
+
+@pytest.fixture(scope="module")
+def sequenced(cell: Path, lake_url: str) -> InspectionResult:
+    return inspection.run(cell, lake=lake_url, direct=True)
+
+
+@pytest.fixture(scope="module")
+def stitched(cell: Path, lake_url: str) -> InspectionResult:
+    return inspection.run(cell, overrides=["sequencing=null"], lake=lake_url, direct=True)
+
+
+def test_the_sequenced_plan_is_cheaper_verified_scanned_and_reported(
+    sequenced: InspectionResult, stitched: InspectionResult
+) -> None:
+    told = sequenced.summary["sequencing"]
+    assert told["taken"] and told["name"] == "optimal control"
+    assert told["plans"][told["name"]]["cost"] < told["plans"][told["stitched"]]["cost"]
+    assert sequenced.summary["duration_s"] < stitched.summary["duration_s"]
+    assert told["plans"][told["stitched"]]["duration_s"] == pytest.approx(stitched.summary["duration_s"])
+    assert sequenced.summary["coverage"] >= stitched.summary["coverage"] - 0.01
+    assert sequenced.summary["verified_states"] > 100
+    assert b"The sequence, by what it costs" in sequenced.report.page
+    assert b"The sequence, by what it costs" not in stitched.report.page
+    assert "sequencing" not in stitched.summary
+    assert dict(sequenced.rows())["sequence"].startswith("by optimal control, cost ")
+    assert "sequence" not in dict(stitched.rows())
+
+
+def test_all_that_belongs_to_the_plan_is_of_the_sequence(sequenced: InspectionResult, lake_url: str) -> None:
+    made = {record.name: record.ref for record in sequenced.records}
+    assert sequenced.refs["trajectory"] == made["take_sequence"]
+    assert sequenced.refs["scan"] == made["simulate_scan sequenced"]
+    assert sequenced.refs["coverage"] == made["measure_coverage sequenced"]
+    found: Any = Lake(lake_url).load(sequenced.refs["sequence"])
+    assert found.duration_s[-1] == pytest.approx(sequenced.summary["duration_s"])
+
+
+def test_a_second_run_computes_nothing(cell: Path, sequenced: InspectionResult, lake_url: str) -> None:
+    again = inspection.run(cell, lake=lake_url, direct=True)
+    assert not [record.name for record in again.records if not record.cached]
+    assert again.refs == sequenced.refs
+
+
+def test_where_nothing_is_cheaper_the_stitched_plan_stays_and_the_report_says_so(
+    cell: Path, stitched: InspectionResult, lake_url: str
+) -> None:
+    best = "planner.stitching.method=best"
+    kept = inspection.run(cell, overrides=["sequencing.cost=time", best], lake=lake_url, direct=True)
+    without = inspection.run(cell, overrides=["sequencing=null", best], lake=lake_url, direct=True)
+    assert not kept.summary["sequencing"]["taken"]
+    assert kept.refs["trajectory"] == without.refs["trajectory"]
+    assert dict(kept.rows())["sequence"] == "as stitched: time found none that costs less"
+    assert b"The stitched plan stays: the best sequence found costs" in kept.report.page
+
+
+def test_the_request_takes_weights_payload_and_the_middle_of_the_housing(cell: Path) -> None:
+    params = request_of(cell, ["sequencing.weights.speed=0.5 s/rad^2"]).sequencing
+    assert params is not None and params.weight_speed_s_per_rad2 == 0.5 and params.payload_kg == 1.5
+    assert params.payload_centre_m == pytest.approx((0.0775, 0.0, 0.0865))
+    there = request_of(cell, ["sequencing.payload.centre=[1 mm, 2 mm, 3 mm]"]).sequencing
+    assert there is not None and there.payload_centre_m == (0.001, 0.002, 0.003)
+
+
+def test_a_payload_that_the_arm_cannot_hold_is_named_with_its_key(cell: Path, lake_url: str) -> None:
+    with pytest.raises(Exception, match=r"needs [\d.]+ N m to hold the arm at the start, but its limit is") as caught:
+        inspection.run(cell, overrides=["sequencing.payload.mass=300 kg"], lake=lake_url, direct=True)
+    assert "carry less" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("override", "message"),
+    [
+        ("sequencing.cost=energy", "'energy'"),
+        ("sequencing.weights.time=1", "needs one: write 1 /s"),
+        ("sequencing.weights.torque=1 s", "is not a weight of squared torque"),
+        ("sequencing.payload.mass=-1 kg", "must be at least 0"),
+        ("sequencing.wieghts={}", "did you mean"),
+    ],
+)
+def test_faults_in_the_cell_file_are_named(cell: Path, override: str, message: str) -> None:
+    with pytest.raises(InvalidInputError, match=message):
+        request_of(cell, [override])
