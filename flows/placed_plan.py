@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import tasks
+from cellwright.errors import UnsafePlanError
 from flows.requests import InspectionRequest
 from flows.runner import Step, Steps
 from flows.selection_rounds import Candidates, Choice, Connected
@@ -97,6 +98,27 @@ def stand(step: Steps, request: InspectionRequest, prepared: Prepared, cell: Ste
 def candidates_of(prepared: Prepared, standing: Standing) -> Candidates:
     """Return what rounds of selecting views draw on."""
     return Candidates(standing.cell, prepared.mesh, standing.surroundings, prepared.viewpoints, standing.reachability)
+
+
+def fault_of(step: Steps, prepared: Prepared, plan: PlacedPlan, *, label: str) -> str:
+    """Return why a plan fails its verification, empty if it passes; the run goes on either way."""
+    standing, connected = plan.standing, plan.connected
+    try:
+        step(
+            tasks.verify_plan,
+            standing.request.verification,
+            label=label,
+            cell=standing.cell,
+            mesh=prepared.mesh,
+            viewpoints=prepared.viewpoints,
+            reachability=standing.reachability,
+            selection=connected.selection,
+            trajectory=connected.trajectory,
+        ).ref()
+    except UnsafePlanError as error:
+        step.forgive(error)
+        return str(error)
+    return ""
 
 
 def scanned(

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import tasks
-from flows.placed_plan import PlacedPlan, Prepared, Standing, scanned, stand
+from flows.placed_plan import PlacedPlan, Prepared, Standing, fault_of, scanned, stand
 from flows.requests import InspectionRequest
 from flows.runner import Step, Steps
 from flows.selection_rounds import Choice, Connected
@@ -92,7 +92,12 @@ def better_placement(
         moved_overlaps=moved and moved.standing.overlaps,
     )
     compared: Any = lake.load(outcome.ref())
-    return (moved if moved is not None and compared.moved else plan), outcome
+    if moved is None or not compared.moved:
+        return plan, outcome
+    if fault := fault_of(step, prepared, moved, label=MOVED):
+        step.note(f"nothing moves: a shorter plan in another placement fails its verification: {fault}")
+        return plan, None
+    return moved, outcome
 
 
 def _planned_anew(

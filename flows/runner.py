@@ -146,10 +146,19 @@ class Steps:
                 self._record.fail(failure, self.failed(failure))
                 raise
             if (refusal := self._record.finish(records)) is not None:
-                self.notes.append(f"this run is not on record, so a sweep of the lake does not know of it: {refusal}")
-                self._watcher.noted(f"warning: {self.notes[-1]}")
+                self.note(f"this run is not on record, so a sweep of the lake does not know of it: {refusal}")
         else:
             self._record.fail(error, self.failed(error))
+
+    def note(self, text: str) -> None:
+        """Tell a person something of the run itself, now and with its result."""
+        self.notes.append(text)
+        self._watcher.noted(f"warning: {text}")
+
+    def forgive(self, error: BaseException) -> None:
+        """Leave the step that raised an error out of the run, for the flow goes on without it."""
+        self._steps = {name: each for name, each in self._steps.items() if each._failure is not error}
+        self._refused = [each for each in self._refused if each._failure is not error]
 
     def named(self, name: str) -> Step | None:
         """Return a step of this run by its name, ``None`` if it was not started."""

@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import Any
 
 import tasks
-from flows.placed_plan import PlacedPlan, Prepared, scanned
+from flows.placed_plan import PlacedPlan, Prepared, fault_of, scanned
 from flows.requests import InspectionRequest
 from flows.runner import Step, Steps
 from flows.selection_rounds import Choice
@@ -50,4 +50,8 @@ def sequenced_plan(
     choice = Choice(connected.selection, plan.measurable)
     new = connected._replace(trajectory=trajectory)
     again = scanned(step, prepared, standing, choice, new, label=SEQUENCED)
-    return replace(plan, connected=new, scan=again.scan, coverage=again.coverage), sequence
+    sequenced = replace(plan, connected=new, scan=again.scan, coverage=again.coverage)
+    if fault := fault_of(step, prepared, sequenced, label=SEQUENCED):
+        step.note(f"the stitched plan stays: a cheaper sequence of its sweeps fails its verification: {fault}")
+        return plan, None
+    return sequenced, sequence

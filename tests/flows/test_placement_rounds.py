@@ -6,6 +6,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from cellwright.arrays import FloatArray
+from cellwright.cell.verification_scene import VerificationScene
 from cellwright.errors import UnsafePlanError
 from flows import inspection
 from flows.findings import Findings
@@ -111,8 +113,25 @@ def test_a_placement_that_finds_nothing_better_leaves_the_plan_as_it_is(
     assert b"stays where the cell file puts it" in kept.report.page
 
 
-def test_a_moved_plan_that_fails_is_shown_where_it_was_moved_to(
-    cell: Path, moved: InspectionResult, lake_url: str, monkeypatch: pytest.MonkeyPatch
+def test_where_the_moved_plan_fails_its_verification_nothing_moves_and_it_says_so(
+    cell: Path, moved: InspectionResult, unmoved: InspectionResult, lake_url: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole, failures = VerificationScene.collision, [("arm", "part")]
+
+    def fails_once(scene: VerificationScene, q: FloatArray) -> tuple[str, str] | None:
+        return failures.pop() if failures else whole(scene, q)
+
+    monkeypatch.setattr(VerificationScene, "collision", fails_once)
+    kept = inspection.run(cell, lake=lake_url, direct=True, refresh=["verify_plan"])
+    assert moved.summary["placement"]["moved"] and not failures
+    assert kept.refs["trajectory"] == unmoved.refs["trajectory"] and "placement" not in kept.summary
+    (note,) = kept.notes
+    assert note.startswith("nothing moves: a shorter plan in another placement fails its verification: ")
+    assert "arm" in note and all(record.name != "verify_plan moved" for record in kept.records)
+
+
+def test_a_plan_that_fails_is_shown_where_the_part_stands(
+    cell: Path, lake_url: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     drawn: list[InspectionRequest] = []
 
@@ -127,10 +146,7 @@ def test_a_moved_plan_that_fails_is_shown_where_it_was_moved_to(
         inspection.run(cell, lake=lake_url, direct=True, refresh=["verify_plan"], explain=heard.append)
     assert heard[0].failed_motion.startswith("The plan fails at 0.00 s") and heard[0].cell_picture == b"a picture"
     (request,) = drawn
-    # the shortest cycle is not where the cell file puts the part, and the picture follows it there
-    before, now = request_of(cell).part_pose.position_m, request.part_pose.position_m
-    assert moved.summary["placement"]["moved"] and request.rests_on is None
-    assert max(abs(one - other) for one, other in zip(before[:2], now[:2], strict=True)) > 1e-3
+    assert request.part_pose.position_m[:2] == request_of(cell).part_pose.position_m[:2]
 
 
 def test_a_second_run_computes_nothing(cell: Path, moved: InspectionResult, lake_url: str) -> None:
