@@ -22,7 +22,7 @@ from flows.execution import Unwatched, Watcher, open_lake
 from flows.findings import Findings
 from flows.inspection_export import export
 from flows.inspection_result import InspectionResult
-from flows.placed_plan import PlacedPlan, Prepared, candidates_of, prepare, scanned, stand
+from flows.placed_plan import PlacedPlan, Prepared, candidates_of, prepare, scanned, stand, verified
 from flows.placement_rounds import Hulls, better_placement, cover_with_spheres
 from flows.requests import InspectionRequest, request_from
 from flows.result_folder import prepare_folder
@@ -189,7 +189,9 @@ def _finished(
         "selection": plan.connected.selection,
         "trajectory": plan.connected.trajectory,
     }
-    verification = step(tasks.verify_plan, request.verification, cell=cell, mesh=mesh, **made)
+    if plan.verification is None:
+        plan = verified(step, prepared, plan)
+    verification = plan.verification
     recording = step(
         tasks.record_plan, request.recording, cell=cell, mesh=mesh, trajectory=made["trajectory"], scan=scan
     )

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import tasks
-from cellwright.errors import UnsafePlanError
 from flows.requests import InspectionRequest
 from flows.runner import Step, Steps
 from flows.selection_rounds import Candidates, Choice, Connected
@@ -47,6 +46,7 @@ class PlacedPlan:
     connected: Connected
     scan: Step | None = None
     coverage: Step | None = None
+    verification: Step | None = None
 
 
 def prepare(step: Steps, request: InspectionRequest) -> Prepared:
@@ -100,25 +100,26 @@ def candidates_of(prepared: Prepared, standing: Standing) -> Candidates:
     return Candidates(standing.cell, prepared.mesh, standing.surroundings, prepared.viewpoints, standing.reachability)
 
 
-def fault_of(step: Steps, prepared: Prepared, plan: PlacedPlan, *, label: str) -> str:
-    """Return why a plan fails its verification, empty if it passes; the run goes on either way."""
+def verified(step: Steps, prepared: Prepared, plan: PlacedPlan, *, label: str = "") -> PlacedPlan:
+    """Return a plan with its verification.
+
+    Raises:
+        UnsafePlanError: If it fails.
+    """
     standing, connected = plan.standing, plan.connected
-    try:
-        step(
-            tasks.verify_plan,
-            standing.request.verification,
-            label=label,
-            cell=standing.cell,
-            mesh=prepared.mesh,
-            viewpoints=prepared.viewpoints,
-            reachability=standing.reachability,
-            selection=connected.selection,
-            trajectory=connected.trajectory,
-        ).ref()
-    except UnsafePlanError as error:
-        step.forgive(error)
-        return str(error)
-    return ""
+    verification = step(
+        tasks.verify_plan,
+        standing.request.verification,
+        label=label,
+        cell=standing.cell,
+        mesh=prepared.mesh,
+        viewpoints=prepared.viewpoints,
+        reachability=standing.reachability,
+        selection=connected.selection,
+        trajectory=connected.trajectory,
+    )
+    verification.ref()
+    return replace(plan, verification=verification)
 
 
 def scanned(

@@ -10,7 +10,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import tasks
-from flows.placed_plan import PlacedPlan, Prepared, Standing, fault_of, scanned, stand
+from cellwright.errors import UnsafePlanError
+from flows.placed_plan import PlacedPlan, Prepared, Standing, scanned, stand, verified
 from flows.requests import InspectionRequest
 from flows.runner import Step, Steps
 from flows.selection_rounds import Choice, Connected
@@ -94,10 +95,12 @@ def better_placement(
     compared: Any = lake.load(outcome.ref())
     if moved is None or not compared.moved:
         return plan, outcome
-    if fault := fault_of(step, prepared, moved, label=MOVED):
-        step.note(f"nothing moves: a shorter plan in another placement fails its verification: {fault}")
+    try:
+        return verified(step, prepared, moved, label=MOVED), outcome
+    except UnsafePlanError as error:
+        step.forgive(error)
+        step.note(f"nothing moves: a shorter plan in another placement fails its verification: {error}")
         return plan, None
-    return moved, outcome
 
 
 def _planned_anew(

@@ -6,7 +6,8 @@ from dataclasses import replace
 from typing import Any
 
 import tasks
-from flows.placed_plan import PlacedPlan, Prepared, fault_of, scanned
+from cellwright.errors import UnsafePlanError
+from flows.placed_plan import PlacedPlan, Prepared, scanned, verified
 from flows.requests import InspectionRequest
 from flows.runner import Step, Steps
 from flows.selection_rounds import Choice
@@ -51,7 +52,9 @@ def sequenced_plan(
     new = connected._replace(trajectory=trajectory)
     again = scanned(step, prepared, standing, choice, new, label=SEQUENCED)
     sequenced = replace(plan, connected=new, scan=again.scan, coverage=again.coverage)
-    if fault := fault_of(step, prepared, sequenced, label=SEQUENCED):
-        step.note(f"the stitched plan stays: a cheaper sequence of its sweeps fails its verification: {fault}")
+    try:
+        return verified(step, prepared, sequenced, label=SEQUENCED), sequence
+    except UnsafePlanError as error:
+        step.forgive(error)
+        step.note(f"the stitched plan stays: a cheaper sequence of its sweeps fails its verification: {error}")
         return plan, None
-    return sequenced, sequence
