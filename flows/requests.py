@@ -311,24 +311,38 @@ def _housing_centre(file: CellFile) -> tuple[float, float, float]:
 
 
 def _cell(file: CellFile) -> tuple[tuple[SourceParams, ...], CellModelParams]:
-    """Return the files that the cell is made of, each once, and how it is put together."""
+    return cell_params(file.robot, file.scanner.mount.pose(), file.scanner.housing, file.bodies(), file.may_touch)
+
+
+def cell_params(
+    robot: RobotSection,
+    T_flange_tool: Pose,
+    housing: Sequence[BodySection],
+    bodies: Sequence[BodySection],
+    may_touch: tuple[tuple[str, str], ...],
+) -> tuple[tuple[SourceParams, ...], CellModelParams]:
+    """Return the files that a cell is made of, each once, and how it is put together.
+
+    Raises:
+        InvalidInputError: If one of the files is malformed or missing, or two meshes have one name.
+    """
     sources: dict[str, SourceParams] = {}
-    robot = file.robot.model if file.robot.urdf is None else add_urdf(file.robot, sources)
+    model = robot.model if robot.urdf is None else add_urdf(robot, sources)
     params = CellModelParams(
-        robot=robot,
-        robot_sha256=built_in_digest(robot) if file.robot.urdf is None else "",
-        base_link=file.robot.base_link,
-        flange_link=file.robot.flange_link,
-        T_world_base=file.robot.base.pose(),
-        T_flange_scanner=file.scanner.mount.pose(),
-        housing=tuple(body_params(body, sources) for body in file.scanner.housing),
-        bodies=tuple(body_params(body, sources) for body in file.bodies()),
-        start_rad=file.robot.start_rad,
-        lower_rad=file.robot.lower_rad,
-        upper_rad=file.robot.upper_rad,
-        max_velocity_rad_s=file.robot.max_velocity_rad_s,
-        max_acceleration_rad_s2=file.robot.max_acceleration_rad_s2,
-        ignored_pairs=file.may_touch,
+        robot=model,
+        robot_sha256=built_in_digest(model) if robot.urdf is None else "",
+        base_link=robot.base_link,
+        flange_link=robot.flange_link,
+        T_world_base=robot.base.pose(),
+        T_flange_scanner=T_flange_tool,
+        housing=tuple(body_params(body, sources) for body in housing),
+        bodies=tuple(body_params(body, sources) for body in bodies),
+        start_rad=robot.start_rad,
+        lower_rad=robot.lower_rad,
+        upper_rad=robot.upper_rad,
+        max_velocity_rad_s=robot.max_velocity_rad_s,
+        max_acceleration_rad_s2=robot.max_acceleration_rad_s2,
+        ignored_pairs=may_touch,
     )
     return tuple(sources.values()), params
 

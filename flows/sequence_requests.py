@@ -6,10 +6,9 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from cellwright.cell.built_in_robots import built_in_digest
 from cellwright.cell.part import METRES_PER_UNIT
 from cellwright.errors import InvalidInputError, listed
-from flows.requests import add_urdf, body_params
+from flows.requests import cell_params
 from schemas.payload import PayloadParams
 from schemas.poses import Pose
 from schemas.sequence_file import DynamicsSection, SequenceFile
@@ -59,7 +58,7 @@ def sequence_request(file: SequenceFile) -> SequenceRequest:
 
 def _request(file: SequenceFile) -> SequenceRequest:
     planner = file.planner
-    cell_files, cell = _cell(file)
+    cell_files, cell = cell_params(file.robot, file.tool.tip.pose(), file.tool.bodies, file.bodies(), file.may_touch)
     end = None if isinstance(planner.end, str) else planner.end
     rules: dict[str, Any] = {
         "from_start": planner.start == "home",
@@ -150,26 +149,3 @@ def _tasks(file: SequenceFile) -> TaskListParams:
         dwell_s=shared.dwell_s,
         approach_m=shared.approach_m,
     )
-
-
-def _cell(file: SequenceFile) -> tuple[tuple[SourceParams, ...], CellModelParams]:
-    """Return the files that the cell is made of, each once, and how it is put together."""
-    sources: dict[str, SourceParams] = {}
-    robot = file.robot.model if file.robot.urdf is None else add_urdf(file.robot, sources)
-    params = CellModelParams(
-        robot=robot,
-        robot_sha256=built_in_digest(robot) if file.robot.urdf is None else "",
-        base_link=file.robot.base_link,
-        flange_link=file.robot.flange_link,
-        T_world_base=file.robot.base.pose(),
-        T_flange_scanner=file.tool.tip.pose(),
-        housing=tuple(body_params(body, sources) for body in file.tool.bodies),
-        bodies=tuple(body_params(body, sources) for body in file.bodies()),
-        start_rad=file.robot.start_rad,
-        lower_rad=file.robot.lower_rad,
-        upper_rad=file.robot.upper_rad,
-        max_velocity_rad_s=file.robot.max_velocity_rad_s,
-        max_acceleration_rad_s2=file.robot.max_acceleration_rad_s2,
-        ignored_pairs=file.may_touch,
-    )
-    return tuple(sources.values()), params

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -11,11 +12,11 @@ from cellwright.arrays import BoolArray, FloatArray
 from cellwright.cell.transforms import pose, rotation_from_quaternion
 from cellwright.errors import InvalidInputError
 from cellwright.solvers.sweeps.planned import ExecutablePiece, PlannedSweep
-from schemas.motion import Trajectory
+from schemas.motion import Trajectory, Verification
 from schemas.views import Measurability, Reachability, Viewpoints, ViewSelection
 
 if TYPE_CHECKING:
-    from cellwright.solvers.plan_verification import TimedPlan
+    from cellwright.solvers.plan_verification import Check, CollisionProof, TimedPlan
     from cellwright.solvers.stitched_plan import StitchedPlan
 
 SAME_TRAVEL = 1e-9
@@ -209,4 +210,29 @@ def timed_plan(trajectory: Trajectory, selection: ViewSelection) -> TimedPlan:
         trajectory.segment,
         trajectory.travel_m,
         tuple(segments),
+    )
+
+
+def verification_of(checks: Sequence[Check], proof: CollisionProof, engine: str) -> Verification:
+    """Return the artefact of a verification that has passed; ``engine`` names what looked for collisions.
+
+    Raises:
+        TypeError: If the proof knows no clearance, as it does only of a motion that collides.
+    """
+    clearance = proof.clearance
+    if clearance is None:
+        raise TypeError("a motion without collision has no clearance")
+    return Verification(
+        check=tuple(check.name for check in checks),
+        found=np.array([check.found for check in checks]),
+        permitted=np.array([check.permitted for check in checks]),
+        unit=tuple(check.unit for check in checks),
+        at_least=np.array([check.at_least for check in checks]),
+        least_distance_m=clearance.found,
+        proven_distance_m=clearance.proven,
+        nearest_bodies=clearance.bodies,
+        nearest_s=clearance.time,
+        n_distances=clearance.n_measured,
+        n_states=proof.n_states,
+        engine=engine,
     )

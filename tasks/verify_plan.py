@@ -56,12 +56,10 @@ def verify_plan(
         InfeasibleError: If any check fails; it names the check, the time, the bodies and the amount.
         InvalidInputError: If the artefacts do not belong together.
     """
-    import numpy as np
-
     from cellwright.cell.verification_scene import VerificationScene
     from cellwright.solvers import plan_verification as verification
     from schemas.cell_objects import build_cell
-    from schemas.plan_objects import executed_views, planned_sweeps, timed_plan
+    from schemas.plan_objects import executed_views, planned_sweeps, timed_plan, verification_of
 
     selection = executed_views(selection, trajectory)
     built = build_cell(cell, mesh, params.T_world_part.matrix())
@@ -90,20 +88,4 @@ def verify_plan(
     proof = verification.check_collisions(plan, built, scene, tolerances, progress)
     checks += proof.checks
     verification.require(checks)
-    clearance = proof.clearance
-    if clearance is None:
-        raise TypeError("a motion without collision has no clearance")
-    return Verification(
-        check=tuple(check.name for check in checks),
-        found=np.array([check.found for check in checks]),
-        permitted=np.array([check.permitted for check in checks]),
-        unit=tuple(check.unit for check in checks),
-        at_least=np.array([check.at_least for check in checks]),
-        least_distance_m=clearance.found,
-        proven_distance_m=clearance.proven,
-        nearest_bodies=clearance.bodies,
-        nearest_s=clearance.time,
-        n_distances=clearance.n_measured,
-        n_states=proof.n_states,
-        engine=scene.engine,
-    )
+    return verification_of(checks, proof, scene.engine)

@@ -62,6 +62,7 @@ def verify_sequence(
     from cellwright.solvers import plan_verification as verification
     from cellwright.solvers.pose_tasks.verification import Stops, check_tasks, check_torques, joined_proof
     from schemas.cell_objects import build_cell
+    from schemas.plan_objects import verification_of
     from schemas.task_objects import MOTION, at_work, pose_tasks, runs_of, timed_plan
 
     if len(sequence.kind) and not np.all(sequence.alternative < len(alternatives.task)):
@@ -101,20 +102,4 @@ def verify_sequence(
     )
     checks += proof.checks
     verification.require(checks)
-    clearance = proof.clearance
-    if clearance is None:
-        raise TypeError("a motion without collision has no clearance")
-    return Verification(
-        check=tuple(check.name for check in checks),
-        found=np.array([check.found for check in checks]),
-        permitted=np.array([check.permitted for check in checks]),
-        unit=tuple(check.unit for check in checks),
-        at_least=np.array([check.at_least for check in checks]),
-        least_distance_m=clearance.found,
-        proven_distance_m=clearance.proven,
-        nearest_bodies=clearance.bodies,
-        nearest_s=clearance.time,
-        n_distances=clearance.n_measured,
-        n_states=proof.n_states,
-        engine=next(iter(scenes.values())).engine,
-    )
+    return verification_of(checks, proof, next(iter(scenes.values())).engine)

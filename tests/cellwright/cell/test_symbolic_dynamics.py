@@ -94,7 +94,7 @@ def test_a_joint_too_weak_to_hold_the_arm_is_named_with_both_torques() -> None:
         dynamics.check_holds(q, effort, "home")
 
 
-def test_the_scaras_placeholder_force_cannot_hold_its_quill() -> None:
+def test_an_arm_whose_stated_force_is_below_its_weight_is_told_which_joint_and_by_how_much() -> None:
     dynamics = symbolic_dynamics(built_in_arm("scara"), payload=Payload.point(2.0))
     with pytest.raises(InfeasibleError, match=r"'joint_3' needs .* N to hold .* limit is 50 N"):
         dynamics.check_holds(0.5 * (dynamics.lower + dynamics.upper), dynamics.max_effort, "the start")
