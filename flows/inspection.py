@@ -18,7 +18,7 @@ from flows import findings
 from flows.caches import use_own_caches
 from flows.cell_keys import with_keys
 from flows.cell_picture import placed_part
-from flows.execution import Unwatched, Watcher, open_lake
+from flows.execution import Watcher, open_lake
 from flows.findings import Findings
 from flows.inspection_export import export
 from flows.inspection_result import InspectionResult
@@ -26,7 +26,7 @@ from flows.placed_plan import PlacedPlan, Prepared, candidates_of, prepare, scan
 from flows.placement_rounds import Hulls, better_placement, cover_with_spheres
 from flows.requests import InspectionRequest, request_from
 from flows.result_folder import prepare_folder
-from flows.runner import Step, Steps
+from flows.runner import Step, Steps, watched
 from flows.selection_rounds import Choice, close_gaps, connect_sweeps
 from flows.sequenced_plan import sequenced_plan
 from schemas.cell_file import CellFile, load_cell_file
@@ -58,9 +58,8 @@ def is_planning(step_name: str) -> bool:
     return step_name.split()[0] in PLANNING_STAGES and step_name != "sample_surface verification"
 
 
-_WATCHER: ContextVar[Watcher | None] = ContextVar("inspection_watcher", default=None)
 FINDINGS: ContextVar[list[Findings] | None] = ContextVar("inspection_findings", default=None)
-"""Takes what a run without a plan has found out; like the watcher it stays in this process and never travels."""
+"""Takes what a run without a plan has found out; like a watcher it stays in this process and never travels."""
 
 
 def run(
@@ -99,14 +98,15 @@ def run(
     if out is not None:
         prepare_folder(out)
     found: list[Findings] = []
-    watching, finding = _WATCHER.set(watcher), FINDINGS.set(found)
+    finding = FINDINGS.set(found)
     try:
-        if direct:
-            result = plan_and_record(request, lake, refresh, run_id=uuid.uuid4().hex, direct=True, found=found)
-        else:
-            from flows.inspection_flow import inspect
+        with watched(watcher):
+            if direct:
+                result = plan_and_record(request, lake, refresh, run_id=uuid.uuid4().hex, direct=True, found=found)
+            else:
+                from flows.inspection_flow import inspect
 
-            result = inspect(request, lake, sorted(refresh))
+                result = inspect(request, lake, sorted(refresh))
     except CellwrightError as error:
         told = with_keys(error, cell, found[0].stage if found else "")
         if found:
@@ -116,7 +116,6 @@ def run(
         raise told from error
     finally:
         FINDINGS.reset(finding)
-        _WATCHER.reset(watching)
     if out is not None:
         result.files.update(export(open_lake(lake), result, out))
     return result
@@ -144,9 +143,8 @@ def plan_and_record(
 ) -> InspectionResult:
     """Run the chain, write down what the run used, and gather its figures; ``found`` takes why there is no plan."""
     lake = open_lake(lake_url)
-    watcher = _WATCHER.get() or Unwatched()
     facts = {"flow": "inspect", "cell": request.name}
-    with Steps(lake_url, refresh=refresh, watcher=watcher, direct=direct, run_id=run_id, facts=facts) as step:
+    with Steps(lake_url, refresh=refresh, direct=direct, run_id=run_id, facts=facts) as step:
         try:
             steps = plan_inspection(step, request, lake)
             result = InspectionResult.of(request, lake, run_id, steps, step.records())

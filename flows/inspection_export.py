@@ -7,15 +7,13 @@ long each stage took, and what everything was made from.
 from __future__ import annotations
 
 import html
-import json
 from pathlib import Path
 
 from flows.findings import FILES
 from flows.inspection_result import InspectionResult
 from flows.result_folder import write_files
+from flows.run_result import RUN_MARK
 from storage.lake import Lake
-
-_RUN_MARK = "<!--RUN-->"
 
 
 def export(lake: Lake, result: InspectionResult, folder: Path) -> dict[str, Path]:
@@ -25,33 +23,22 @@ def export(lake: Lake, result: InspectionResult, folder: Path) -> dict[str, Path
         InvalidInputError: If the folder cannot be written.
         LakeError: If the lake has lost a file since the run.
     """
-    page = result.report.page.decode().replace(_RUN_MARK, run_section(lake, result))
+    page = result.report.page.decode().replace(RUN_MARK, run_section(lake, result))
     contents = {
         "report": ("report.html", page.encode()),
         "recording (Foxglove, Rerun)": ("plan.mcap", lake.read(result.refs["recording"], "recording.mcap")),
         "trajectory": ("trajectory.parquet", lake.read(result.refs["trajectory"], "states.parquet")),
         "segments": ("segments.parquet", lake.read(result.refs["trajectory"], "segments.parquet")),
         "scan": ("scan.parquet", lake.read(result.refs["scan"], "points.parquet")),
-        "summary": ("summary.json", _summary(result)),
+        "summary": ("summary.json", result.summary_file()),
         **{f"figure: {name}": (f"{name}.png", picture) for name, picture in result.pictures().items()},
     }
     write_files(folder, dict(contents.values()), mark=contents["summary"][0], gone=FILES)  # no findings beside a plan
     return {what: folder / name for what, (name, _) in contents.items()}
 
 
-def _summary(result: InspectionResult) -> bytes:
-    plain = {name: value for name, value in result.as_json().items() if name != "files"}  # they lie beside it
-    return json.dumps(plain, indent=2, sort_keys=True, allow_nan=False).encode() + b"\n"
-
-
 def run_section(lake: Lake, result: InspectionResult) -> str:
     """Return the part of the report that belongs to one run: stage timings and lineage, as HTML."""
-    rows = "".join(
-        f"<tr><td>{html.escape(record.name)}</td><td>{result.stage_seconds[record.name]:.2f}</td>"
-        f"<td>{'from the lake' if record.cached else 'computed'}</td><td>{record.version}</td>"
-        f'<td class="words"><code>{record.ref.kind}/<wbr>{record.ref.digest[:12]}</code></td></tr>'
-        for record in result.records
-    )
     lines = "\n".join(
         f"{'  ' * ancestor.depth}{ancestor.name or 'trajectory'}: "
         + (
@@ -62,13 +49,8 @@ def run_section(lake: Lake, result: InspectionResult) -> str:
         )
         for ancestor in lake.lineage(result.refs["trajectory"])
     )
-    total = sum(result.stage_seconds.values())
     return (
-        "<h2>Stages</h2><p class='lead'>Seconds that each stage took when it was computed, in this run or in an "
-        f"earlier one; {total:.1f} s together.</p><div class='card'><table>"
-        "<tr><th>stage</th><th>seconds</th><th>in this run</th><th>version</th><th class='words'>artefact</th></tr>"
-        f"{rows}</table></div><h2>What the trajectory was made from</h2><div class='card'><details><summary>"
+        f"{result.stages_section()}<h2>What the trajectory was made from</h2><div class='card'><details><summary>"
         "Every artefact behind it, back to the files; each stands below what was made from it"
-        f"</summary><pre>{html.escape(lines)}</pre></details></div>"
-        f"<p class='lead'>Run {html.escape(result.run_id)}.</p>"
+        f"</summary><pre>{html.escape(lines)}</pre></details></div>{result.run_line}"
     )

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import base64
-
 from prefect import flow, runtime
-from prefect.artifacts import create_image_artifact, create_markdown_artifact, create_table_artifact
+from prefect.artifacts import create_markdown_artifact, create_table_artifact
 
 from cellwright.errors import CellwrightError
 from flows.findings import noting
 from flows.inspection import FINDINGS, plan_and_record
 from flows.inspection_result import InspectionResult
+from flows.prefect_pages import leave_pages
 from flows.requests import InspectionRequest
 from flows.runner import task_runner
 
@@ -28,9 +27,6 @@ def inspect(request: InspectionRequest, lake: str, refresh: list[str] | None = N
             with noting(error, "showing the findings in Prefect"):
                 create_markdown_artifact(each.as_markdown(), key="inspection-findings", description=request.name)
         raise
-    create_markdown_artifact(result.as_markdown(), key="inspection-summary", description=request.name)
+    leave_pages(result, "inspection")
     create_table_artifact(result.coverage_rows(), key="inspection-coverage", description="Coverage by cause")
-    for name, picture in result.pictures().items():
-        data = base64.b64encode(picture).decode()
-        create_image_artifact(f"data:image/png;base64,{data}", key=f"inspection-figure-{name}", description=name)
     return result

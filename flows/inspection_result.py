@@ -4,96 +4,41 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, field
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar
 
 from flows.requests import InspectionRequest
 from flows.run_record import StepRecord
+from flows.run_result import RunResult, gathered
 from flows.runner import Step
 from schemas.inspection_summary import cover_words
-from schemas.references import Ref
 from schemas.report import InspectionReport
 from storage.lake import Lake
 
-if TYPE_CHECKING:
-    from rich.console import Console
 
-
-@dataclass(frozen=True)
-class InspectionResult:
+@dataclass(frozen=True, kw_only=True)
+class InspectionResult(RunResult):
     """A verified plan.
 
     Attributes:
-        name: The cell's name.
-        run_id: The run, as the lake has recorded it.
-        refs: Its main artefacts by what they are.
-        records: What became of each step.
-        stage_seconds: Seconds that each step took when it was computed, now or in an earlier run.
-        summary: The plan's figures, units in the names.
         report: The report's artefact.
-        files: Exported files by what they are.
-        notes: What a person should know of the run itself, a lake that keeps no record of it for one.
     """
 
-    name: str
-    run_id: str
-    refs: dict[str, Ref]
-    records: list[StepRecord]
-    stage_seconds: dict[str, float]
-    summary: dict[str, Any]
+    TITLE: ClassVar[str] = "Inspection plan"
+
     report: InspectionReport
-    files: dict[str, Path] = field(default_factory=dict)
-    notes: tuple[str, ...] = ()
 
     @classmethod
     def of(
         cls, request: InspectionRequest, lake: Lake, run_id: str, steps: Mapping[str, Step], records: list[StepRecord]
     ) -> InspectionResult:
         """Gather the result of a finished run."""
-        refs = {name: step.ref() for name, step in steps.items()}
-        report = lake.load(refs["report"])
+        report = lake.load(steps["report"].ref())
         if not isinstance(report, InspectionReport):
             raise TypeError(f"the report is a {type(report).__name__}")
-        seconds = {record.name: _computing_seconds(lake, record) for record in records}
-        return cls(request.name, run_id, refs, records, seconds, json.loads(report.summary), report)
-
-    def as_json(self) -> Mapping[str, Any]:
-        """Return the result as plain values."""
-        return {
-            "name": self.name,
-            "run_id": self.run_id,
-            "summary": self.summary,
-            "artefacts": {name: {"kind": ref.kind, "digest": ref.digest} for name, ref in self.refs.items()},
-            "steps": [record.as_json() for record in self.records],
-            "files": {name: str(path) for name, path in self.files.items()},
-            **({"notes": list(self.notes)} if self.notes else {}),
-        }
-
-    def show(self, console: Console) -> None:
-        """Print the summary table and the paths."""
-        from rich.table import Table
-
-        table = Table(title=f"Inspection plan: {self.name}", title_justify="left", show_header=False)
-        table.add_column()
-        table.add_column(justify="right")
-        for label, value in self.rows():
-            table.add_row(label, value)
-        console.print(table)
-        missed = [f"{cause} {count:,}" for cause, count in self.summary["causes"].items()]
-        if missed:
-            console.print(f"Points not measured, by cause: {', '.join(missed)}.", soft_wrap=True)
-        for finding in self.summary["findings"]:
-            console.print(f"Part: {finding}", soft_wrap=True)
-        for finding in self.summary["attention"]:
-            console.print(f"Attention: {finding}.", soft_wrap=True, markup=False)
-        for note in self.summary["notes"]:
-            console.print(f"Note: {note}.", soft_wrap=True)
-        cached = sum(record.cached for record in self.records)
-        console.print(f"Stages: {len(self.records) - cached} computed, {cached} from the lake.")
-        for name, path in self.files.items():
-            console.print(f"{name}: {path}", soft_wrap=True)
+        facts = gathered(request.name, run_id, lake, steps, records)
+        return cls(**facts, summary=json.loads(report.summary), report=report)
 
     def rows(self) -> list[tuple[str, str]]:
         """Return the summary as pairs of label and value."""
@@ -117,10 +62,14 @@ class InspectionResult:
             *([("sweeps left out", f"{len(figures['left_out_sweeps'])}")] if figures["left_out_sweeps"] else []),
         ]
 
-    def as_markdown(self) -> str:
-        """Return the summary for Prefect's user interface."""
-        rows = "\n".join(f"| {label} | {value} |" for label, value in self.rows())
-        return f"# {self.name}\n\n| | |\n|---|---:|\n{rows}\n"
+    def remarks(self) -> Iterable[str]:
+        """Return what the summary cannot say in figures."""
+        missed = [f"{cause} {count:,}" for cause, count in self.summary["causes"].items()]
+        if missed:
+            yield f"Points not measured, by cause: {', '.join(missed)}."
+        yield from (f"Part: {finding}" for finding in self.summary["findings"])
+        yield from (f"Attention: {finding}." for finding in self.summary["attention"])
+        yield from (f"Note: {note}." for note in self.summary["notes"])
 
     def coverage_rows(self) -> list[dict[str, Any]]:
         """Return the causes of missing coverage as table rows."""
@@ -170,8 +119,3 @@ def _distance_words(figures: Mapping[str, Any]) -> str:
         return "–"
     at_least = math.floor(1e5 * proven) / 100  # what is proven is rounded down
     return f"{1e3 * found:.2f} mm (proven {at_least:.2f}), {' and '.join(figures['nearest']['bodies'])}"
-
-
-def _computing_seconds(lake: Lake, record: StepRecord) -> float:
-    provenance = lake.provenance(record.ref) or {}
-    return float(provenance.get("seconds", record.seconds))

@@ -6,27 +6,24 @@ that misses its gate is an error; a study may ask for the attempt instead (``att
 
 from __future__ import annotations
 
-import html
 import uuid
 from collections.abc import Collection, Sequence
-from contextvars import ContextVar
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import tasks
 from cellwright.errors import InfeasibleError
 from flows.caches import use_own_caches
-from flows.execution import Unwatched, Watcher, open_lake
+from flows.execution import Watcher, open_lake
 from flows.layout_requests import LayoutRequest, layout_request
-from flows.layout_result import LayoutResult, computing_seconds
+from flows.layout_result import LayoutResult
 from flows.result_folder import prepare_folder, write_files
-from flows.runner import Step, Steps
+from flows.run_result import RUN_MARK, computing_seconds, gathered
+from flows.runner import Step, Steps, watched
 from schemas.layout_file import LayoutFile, load_layout_file
 from schemas.layout_summary import refusal_of, summary_of
 from storage.lake import Lake
-
-_WATCHER: ContextVar[Watcher | None] = ContextVar("layout_watcher", default=None)
-_RUN_MARK = "<!--RUN-->"
 
 
 def run(
@@ -63,16 +60,13 @@ def run(
     request = layout_request(file)
     if out is not None:
         prepare_folder(out)
-    watching = _WATCHER.set(watcher)
-    try:
+    with watched(watcher):
         if direct:
             result = optimise_and_report(request, lake, refresh, uuid.uuid4().hex, direct=True, attempt=attempt)
         else:
             from flows.layout_flow import layout
 
             result = layout(request, lake, sorted(refresh), attempt)
-    finally:
-        _WATCHER.reset(watching)
     if out is not None and not attempt:
         result.files.update(export(open_lake(lake), result, out))
     return result
@@ -83,11 +77,11 @@ def optimise_and_report(
 ) -> LayoutResult:
     """Run the chain, write down what the run used, and gather its figures."""
     lake = open_lake(lake_url)
-    watcher = _WATCHER.get() or Unwatched()
     facts = {"flow": "layout", "cell": request.name}
-    with Steps(lake_url, refresh=refresh, watcher=watcher, direct=direct, run_id=run_id, facts=facts) as step:
+    with Steps(lake_url, refresh=refresh, direct=direct, run_id=run_id, facts=facts) as step:
         steps = plan_layout(step, request, lake, attempt=attempt)
-        return _result(request, lake, run_id, steps, step)
+        result = _result(request, lake, run_id, steps, step)
+    return replace(result, notes=tuple(step.notes))
 
 
 def plan_layout(step: Steps, request: LayoutRequest, lake: Lake, *, attempt: bool = False) -> dict[str, Step]:
@@ -117,21 +111,12 @@ def plan_layout(step: Steps, request: LayoutRequest, lake: Lake, *, attempt: boo
 
 
 def _result(request: LayoutRequest, lake: Lake, run_id: str, steps: dict[str, Step], step: Steps) -> LayoutResult:
-    refs = {name: each.ref() for name, each in steps.items()}
-    records = step.records()
-    seconds = {record.name: computing_seconds(lake, record) for record in records}
-    layout: Any = lake.load(refs["layout"])
-    report: Any = lake.load(refs["report"]) if "report" in refs else None
-    return LayoutResult(
-        request.name,
-        run_id,
-        refs,
-        records,
-        {name: spent for name, (spent, _) in seconds.items()},
-        seconds["optimise_layout"][1],
-        summary_of(layout),
-        report,
-    )
+    layout: Any = lake.load(steps["layout"].ref())
+    report: Any = lake.load(steps["report"].ref()) if "report" in steps else None
+    facts = gathered(request.name, run_id, lake, steps, step.records())
+    optimised = next(record for record in facts["records"] if record.stage == "optimise_layout")
+    _, cpu_s = computing_seconds(lake, optimised)
+    return LayoutResult(**facts, cpu_s=cpu_s, summary=summary_of(layout), report=report)
 
 
 def export(lake: Lake, result: LayoutResult, folder: Path) -> dict[str, Path]:
@@ -141,7 +126,7 @@ def export(lake: Lake, result: LayoutResult, folder: Path) -> dict[str, Path]:
         InvalidInputError: If the folder cannot be written.
         LakeError: If the lake has lost a file since the run.
     """
-    page = "" if result.report is None else result.report.page.decode().replace(_RUN_MARK, run_section(result))
+    page = "" if result.report is None else result.report.page.decode().replace(RUN_MARK, _run_section(result))
     contents = {
         "report": ("report.html", page.encode()),
         "recording (Foxglove, Rerun)": ("layout.mcap", lake.read(result.refs["recording"], "recording.mcap")),
@@ -155,18 +140,6 @@ def export(lake: Lake, result: LayoutResult, folder: Path) -> dict[str, Path]:
     return {what: folder / name for what, (name, _) in contents.items()}
 
 
-def run_section(result: LayoutResult) -> str:
-    """Return the part of the report that belongs to one run: stage timings, as HTML."""
-    rows = "".join(
-        f"<tr><td>{html.escape(record.name)}</td><td>{result.stage_seconds[record.name]:.2f}</td>"
-        f"<td>{'from the lake' if record.cached else 'computed'}</td><td>{record.version}</td>"
-        f'<td class="words"><code>{record.ref.kind}/{record.ref.digest[:12]}</code></td></tr>'
-        for record in result.records
-    )
+def _run_section(result: LayoutResult) -> str:
     cpu = "" if result.cpu_s is None else f" The optimisation took {result.cpu_s:.2f} s of processor time."
-    return (
-        "<h2>Stages</h2><p class='lead'>Seconds that each stage took when it was computed, in this run or in an "
-        f"earlier one.{cpu}</p><div class='card'><table><tr><th>stage</th><th>seconds</th><th>in this run</th>"
-        f"<th>version</th><th class='words'>artefact</th></tr>{rows}</table></div>"
-        f"<p class='lead'>Run {html.escape(result.run_id)}.</p>"
-    )
+    return result.stages_section(cpu) + result.run_line

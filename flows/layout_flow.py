@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import base64
-
 from prefect import flow, runtime
-from prefect.artifacts import create_image_artifact, create_markdown_artifact
 
 from flows.layout import optimise_and_report
 from flows.layout_requests import LayoutRequest
 from flows.layout_result import LayoutResult
+from flows.prefect_pages import leave_pages
 from flows.runner import task_runner
 
 
@@ -19,8 +17,5 @@ def layout(request: LayoutRequest, lake: str, refresh: list[str] | None = None, 
     run_id = str(runtime.flow_run.id)
     result = optimise_and_report(request, lake, frozenset(refresh or ()), run_id, direct=False, attempt=attempt)
     if not attempt:
-        create_markdown_artifact(result.as_markdown(), key="layout-summary", description=request.name)
-        for name, picture in result.pictures().items():
-            data = base64.b64encode(picture).decode()
-            create_image_artifact(f"data:image/png;base64,{data}", key=f"layout-figure-{name}", description=name)
+        leave_pages(result, "layout")
     return result

@@ -16,6 +16,7 @@ from __future__ import annotations
 import contextlib
 import os
 from collections.abc import Callable, Collection, Iterator, Mapping
+from contextvars import ContextVar
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
@@ -41,6 +42,19 @@ from schemas.stage import Stage
 if TYPE_CHECKING:
     from prefect.futures import PrefectFuture
     from prefect.task_runners import TaskRunner
+
+
+_WATCHING: ContextVar[Watcher | None] = ContextVar("run_watcher", default=None)
+
+
+@contextlib.contextmanager
+def watched(watcher: Watcher | None) -> Iterator[None]:
+    """Let the runs begun in here tell a watcher what they do; it stays in this process and never travels."""
+    watching = _WATCHING.set(watcher)
+    try:
+        yield
+    finally:
+        _WATCHING.reset(watching)
 
 
 def task_runner() -> TaskRunner[Any]:
@@ -99,7 +113,7 @@ class Steps:
     Args:
         lake_url: Folder or object-store address of the lake.
         refresh: Names of stages to compute although the lake has them.
-        watcher: Hears of starts, progress and ends, in this process.
+        watcher: Hears of starts, progress and ends, in this process; that of `watched` if left out.
         direct: Call the stages one after the other in this thread, without Prefect.
         run_id: Id under which the run is written down in the lake, from its first moment to its last, so that what
             it used is kept when the lake is swept, however it ends; not written down if empty.
@@ -123,7 +137,7 @@ class Steps:
             stage_named(name)
         self._lake_url = lake_url
         self._refresh = frozenset(refresh)
-        self._watcher = watcher or Unwatched()
+        self._watcher = watcher or _WATCHING.get() or Unwatched()
         self._direct = direct
         self._run_id = run_id
         self._record = RunRecord(open_lake(lake_url) if run_id else None, run_id, facts or {})

@@ -5,28 +5,25 @@
 
 from __future__ import annotations
 
-import html
-import json
 import re
 import uuid
 from collections.abc import Collection, Sequence
-from contextvars import ContextVar
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import tasks
 from cellwright.errors import CellwrightError
 from flows.caches import use_own_caches
-from flows.execution import Unwatched, Watcher, open_lake
+from flows.execution import Watcher, open_lake
 from flows.result_folder import prepare_folder, write_files
-from flows.runner import Step, Steps
+from flows.run_result import RUN_MARK
+from flows.runner import Step, Steps, watched
 from flows.sequence_requests import SequenceRequest, sequence_request
 from flows.sequence_result import SequenceResult
 from schemas.sequence_file import SequenceFile, load_sequence_file
 from storage.lake import Lake
 
-_WATCHER: ContextVar[Watcher | None] = ContextVar("sequence_watcher", default=None)
-_RUN_MARK = "<!--RUN-->"
 KEYS = {
     "start_rad": "robot.start",
     "lower_rad": "robot.lower",
@@ -78,21 +75,19 @@ def run(
     request = sequence_request(file)
     if out is not None:
         prepare_folder(out)
-    watching = _WATCHER.set(watcher)
     try:
-        if direct:
-            result = sequence_and_record(request, lake, refresh, run_id=uuid.uuid4().hex, direct=True)
-        else:
-            from flows.sequence_flow import sequence
+        with watched(watcher):
+            if direct:
+                result = sequence_and_record(request, lake, refresh, run_id=uuid.uuid4().hex, direct=True)
+            else:
+                from flows.sequence_flow import sequence
 
-            result = sequence(request, lake, sorted(refresh))
+                result = sequence(request, lake, sorted(refresh))
     except CellwrightError as error:
         told = in_words_of_the_file(error)
         if told is error:
             raise
         raise told from error
-    finally:
-        _WATCHER.reset(watching)
     if out is not None:
         result.files.update(export(open_lake(lake), result, out))
     return result
@@ -113,11 +108,11 @@ def sequence_and_record(
 ) -> SequenceResult:
     """Run the chain, write down what the run used, and gather its figures."""
     lake = open_lake(lake_url)
-    watcher = _WATCHER.get() or Unwatched()
     facts = {"flow": "sequence", "cell": request.name}
-    with Steps(lake_url, refresh=refresh, watcher=watcher, direct=direct, run_id=run_id, facts=facts) as step:
+    with Steps(lake_url, refresh=refresh, direct=direct, run_id=run_id, facts=facts) as step:
         steps = plan_sequence(step, request)
-        return SequenceResult.of(request.name, lake, run_id, steps, step.records())
+        result = SequenceResult.of(request.name, lake, run_id, steps, step.records())
+    return replace(result, notes=tuple(step.notes))
 
 
 def plan_sequence(step: Steps, request: SequenceRequest) -> dict[str, Step]:
@@ -142,32 +137,15 @@ def export(lake: Lake, result: SequenceResult, folder: Path) -> dict[str, Path]:
         InvalidInputError: If the folder cannot be written.
         LakeError: If the lake has lost a file since the run.
     """
-    page = result.report.page.decode().replace(_RUN_MARK, _run_section(result))
-    plain = {name: value for name, value in result.as_json().items() if name != "files"}
-    summary = json.dumps(plain, indent=2, sort_keys=True, allow_nan=False).encode() + b"\n"
+    page = result.report.page.decode().replace(RUN_MARK, result.stages_section() + result.run_line)
     contents = {
         "report": ("report.html", page.encode()),
         "recording (Foxglove, Rerun)": ("sequence.mcap", lake.read(result.refs["recording"], "recording.mcap")),
         "trajectory": ("trajectory.parquet", lake.read(result.refs["sequence"], "states.parquet")),
         "segments": ("segments.parquet", lake.read(result.refs["sequence"], "segments.parquet")),
         "stops": ("stops.parquet", lake.read(result.refs["sequence"], "stops.parquet")),
-        "summary": ("summary.json", summary),
+        "summary": ("summary.json", result.summary_file()),
         **{f"figure: {name}": (f"{name}.png", picture) for name, picture in result.pictures().items()},
     }
     write_files(folder, dict(contents.values()), mark=contents["summary"][0])
     return {what: folder / name for what, (name, _) in contents.items()}
-
-
-def _run_section(result: SequenceResult) -> str:
-    rows = "".join(
-        f"<tr><td>{html.escape(record.name)}</td><td>{result.stage_seconds[record.name]:.2f}</td>"
-        f"<td>{'from the lake' if record.cached else 'computed'}</td><td>{record.version}</td>"
-        f'<td class="words"><code>{record.ref.kind}/{record.ref.digest[:12]}</code></td></tr>'
-        for record in result.records
-    )
-    return (
-        "<h2>Stages</h2><p class='lead'>Seconds that each stage took when it was computed, in this run or in an "
-        "earlier one.</p><div class='card'><table><tr><th>stage</th><th>seconds</th><th>in this run</th>"
-        f"<th>version</th><th class='words'>artefact</th></tr>{rows}</table></div>"
-        f"<p class='lead'>Run {html.escape(result.run_id)}.</p>"
-    )

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import base64
-
 from prefect import flow, runtime
-from prefect.artifacts import create_image_artifact, create_markdown_artifact
 
+from flows.prefect_pages import leave_pages
 from flows.runner import task_runner
 from flows.sequence import sequence_and_record
 from flows.sequence_requests import SequenceRequest
@@ -18,8 +16,5 @@ def sequence(request: SequenceRequest, lake: str, refresh: list[str] | None = No
     """Find, verify and report the sequence of tasks at poses; every stage comes from the lake if it is there."""
     run_id = str(runtime.flow_run.id)
     result = sequence_and_record(request, lake, frozenset(refresh or ()), run_id=run_id, direct=False)
-    create_markdown_artifact(result.as_markdown(), key="sequence-summary", description=request.name)
-    for name, picture in result.pictures().items():
-        data = base64.b64encode(picture).decode()
-        create_image_artifact(f"data:image/png;base64,{data}", key=f"sequence-figure-{name}", description=name)
+    leave_pages(result, "sequence")
     return result
