@@ -20,8 +20,8 @@ from schemas.artefact import digest
 from schemas.part import PartMesh, Surroundings
 from schemas.poses import Pose
 from schemas.sources import CellModel, SourceFile
+from schemas.sweep_params import SweepParams
 from tasks.assemble_cell import CellModelParams
-from tasks.follow_sweeps import SweepParams
 from tasks.measure_samples import MeasurabilityParams
 from tasks.place_surroundings import SurroundingsParams
 from tasks.preprocess_mesh import MeshParams

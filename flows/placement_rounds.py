@@ -16,6 +16,8 @@ from flows.requests import InspectionRequest
 from flows.runner import Step, Steps
 from flows.selection_rounds import Choice, Connected
 from storage.lake import Lake
+from tasks.compare_placements import ComparisonParams
+from tasks.optimise_placement import PlacementParams
 
 MOVED = "moved"
 """Label of the steps in the new placement."""
@@ -61,10 +63,25 @@ def better_placement(
     """
     if request.placement is None:
         return plan, None
+    placement = _searched(step, request.placement, prepared, plan, hulls)
+    found: Any = lake.load(placement.ref())
+    moved, failure = None, ""
+    if found.is_better:
+        moved = _planned_anew(step, plan.standing.request.moved(found), lake, prepared, choice, plan)
+        moved, failure = _verified(step, prepared, moved)
+    outcome = _compared(
+        step, request.comparison.model_copy(update={"failure": failure}), prepared, placement, plan, moved
+    )
+    compared: Any = lake.load(outcome.ref())
+    return (plan if moved is None or not compared.moved else moved), outcome
+
+
+def _searched(step: Steps, params: PlacementParams, prepared: Prepared, plan: PlacedPlan, hulls: Hulls | None) -> Step:
+    """Search for a better placement of the plan's sweeps."""
     standing = plan.standing
-    placement = step(
+    return step(
         tasks.optimise_placement,
-        request.placement.model_copy(update={"T_world_part": standing.request.sweeps.T_world_part}),
+        params.model_copy(update={"T_world_part": standing.request.sweeps.T_world_part}),
         cell=standing.cell,
         mesh=prepared.mesh,
         viewpoints=prepared.viewpoints,
@@ -74,33 +91,42 @@ def better_placement(
         part_hull=hulls and hulls.part,
         cell_hull=hulls and hulls.cell,
     )
-    found: Any = lake.load(placement.ref())
-    moved = (
-        _planned_anew(step, standing.request.moved(found), lake, prepared, choice, plan) if found.is_better else None
-    )
-    outcome = step(
+
+
+def _verified(step: Steps, prepared: Prepared, plan: PlacedPlan) -> tuple[PlacedPlan, str]:
+    """Return a plan with its verification, or as it is and why it fails; a plan without a motion is not verified."""
+    if plan.scan is None:
+        return plan, ""
+    try:
+        return verified(step, prepared, plan, label=MOVED), ""
+    except UnsafePlanError as error:
+        step.forgive(error)
+        return plan, str(error)
+
+
+def _compared(
+    step: Steps,
+    params: ComparisonParams,
+    prepared: Prepared,
+    placement: Step,
+    plan: PlacedPlan,
+    moved: PlacedPlan | None,
+) -> Step:
+    """Compare a plan with the one in the placement found."""
+    return step(
         tasks.compare_placements,
-        request.comparison,
+        params,
         placement=placement,
-        cell=standing.cell,
+        cell=plan.standing.cell,
         mesh=prepared.mesh,
         trajectory=plan.connected.trajectory,
         coverage=plan.coverage,
-        overlaps=standing.overlaps,
+        overlaps=plan.standing.overlaps,
         moved_cell=moved and moved.standing.cell,
         moved_trajectory=moved and moved.connected.trajectory,
         moved_coverage=moved and moved.coverage,
         moved_overlaps=moved and moved.standing.overlaps,
     )
-    compared: Any = lake.load(outcome.ref())
-    if moved is None or not compared.moved:
-        return plan, outcome
-    try:
-        return verified(step, prepared, moved, label=MOVED), outcome
-    except UnsafePlanError as error:
-        step.forgive(error)
-        step.note(f"nothing moves: a shorter plan in another placement fails its verification: {error}")
-        return plan, None
 
 
 def _planned_anew(

@@ -14,8 +14,8 @@ import tasks
 from flows.requests import InspectionRequest
 from flows.runner import Step, Steps
 from schemas.plan_objects import covered_samples, unconnected_views
+from schemas.sweep_params import StitchParams
 from storage.lake import Lake
-from tasks.stitch_sweeps import StitchParams
 
 RESELECTIONS = 3
 """Times that views are selected again without those that could not be executed or connected."""

@@ -57,11 +57,12 @@ class Placement(Artefact):
     refused_cause: tuple[str, ...] = column("Furthest test that the sweep reached", dtype="str", table="refused")
     refused_count: IntArray = column("Designs that it refused", dtype="int64", table="refused")
     trace_judged: IntArray = column(
-        "Designs judged when the best optimistic cycle improved", dtype="int64", table="trace"
+        "Designs judged when the least estimated cycle improved", dtype="int64", table="trace"
     )
-    trace_cycle_s: FloatArray = column("That cycle", unit="s", table="trace")
+    trace_estimate_s: FloatArray = column("That estimate", unit="s", table="trace")
     trial_value: FloatArray = column("Design joints, m or rad", width=ANY_WIDTH, table="trials")
-    trial_bound_s: FloatArray = column("Optimistic cycle of the design", unit="s", table="trials")
+    trial_estimate_s: FloatArray = column("Estimated cycle of the design", unit="s", table="trials")
+    trial_bound_s: FloatArray = column("Cycle that no plan there undercuts", unit="s", table="trials")
     trial_cycle_s: FloatArray = column("Its true cycle, stitched; infinite if refused", unit="s", table="trials")
     trial_reason: tuple[str, ...] = column("Why it was refused; empty if it was not", dtype="str", table="trials")
     trial_method: tuple[str, ...] = column("search, or gradient between sphere hulls", dtype="str", table="trials")
@@ -77,7 +78,10 @@ class Placement(Artefact):
     reason: str = fact("Why it is better, or why nothing is moved", dtype="str")
     cycle_before_s: float = fact("Cycle in the cell file's placement", unit="s")
     cycle_s: float = fact("Cycle in the placement found, as stitched while searching", unit="s")
-    bound_before_s: float = fact("Optimistic cycle in the cell file's placement", unit="s")
+    bound_before_s: float = fact(
+        "Cycle that no plan of these sweeps undercuts in the cell file's placement; 0 where nothing was searched",
+        unit="s",
+    )
     n_judged: int = fact("Designs judged", dtype="int64")
 
 
@@ -100,6 +104,9 @@ class PlacementOutcome(Artefact):
     moves: str = fact("part or robot: what moves on the harness", dtype="str")
     moved: bool = fact("Whether the plan is in the new placement", dtype="bool")
     reason: str = fact("Why, in words", dtype="str")
+    refusal: str = fact(
+        "Why a placement that looked better is not taken; empty if none did, or if it is taken", dtype="str"
+    )
     cycle_before_s: float = fact("Cycle before", unit="s")
     cycle_after_s: float = fact("Cycle of the plan", unit="s")
     scanning_before_s: float = fact("Of it scanning, before", unit="s")
@@ -132,6 +139,7 @@ def placement_figures(outcome: PlacementOutcome) -> dict[str, Any]:
         "moves": outcome.moves,
         "moved": outcome.moved,
         "reason": outcome.reason,
+        "refusal": outcome.refusal,
         "joints": {
             name: {"turn_rad" if turning else "slide_m": at}
             for name, turning, at in zip(outcome.joint, outcome.turns.tolist(), outcome.value.tolist())

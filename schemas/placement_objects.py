@@ -17,7 +17,7 @@ from schemas.views import Measurability, Reachability, Viewpoints
 
 if TYPE_CHECKING:
     from cellwright.cell.harness import Harness
-    from cellwright.solvers.layout.placement import PlacementProblem
+    from cellwright.solvers.placement.problem import PlacementProblem
     from cellwright.solvers.stitched_plan import StitchSettings
     from cellwright.solvers.sweeps.poses import CandidateSweeps, FollowSettings
 
@@ -46,15 +46,18 @@ def placement_problem(
     carried: tuple[str, ...],
     follow: FollowSettings,
     stitch: StitchSettings,
+    resting: float,
 ) -> PlacementProblem:
     """Return the problem of the sweeps that a trajectory executes, in the order of their views.
+
+    Bodies no deeper than ``resting`` m in one another rest on each other.
 
     Raises:
         InvalidInputError: If a body that is to be carried does not stand in the world, or the artefacts do not belong
             together.
     """
     from cellwright.cell.bodies import WORLD
-    from cellwright.solvers.layout.placement import PlacementProblem
+    from cellwright.solvers.placement.problem import PlacementProblem
 
     built = build_cell(cell, mesh, T_world_part)
     standing = [body.name for body in built.bodies[:-1] if body.parent == WORLD]
@@ -76,10 +79,20 @@ def placement_problem(
         required=np.array([spans[row] for row in view.tolist()], float).reshape(-1, 2),
         names=tuple(f"view {row}" for row in view.tolist()),
         follow=follow,
+        scan_speed=stitch.scan_speed,
         tool_acceleration=stitch.tool_acceleration,
         returns=stitch.returns,
         most_alternatives=stitch.max_alternatives,
+        resting=resting,
+        permitted=_declared(cell),
     )
+
+
+def _declared(cell: CellModel) -> tuple[tuple[int, int], ...]:
+    """Return the pairs of rows of bodies that the cell file permits to stand in one another."""
+    from cellwright.cell.ignored_pairs import Reason
+
+    return tuple((int(a), int(b)) for a, b in cell.ignored_pair[cell.ignored_reason == Reason.DECLARED])
 
 
 def _some(sweeps: CandidateSweeps, rows: IntArray) -> CandidateSweeps:

@@ -1,8 +1,8 @@
 """Compare a plan in the cell file's placement with one in the placement found, and say which of them is taken.
 
-The new one is taken only if it executes every sweep that the old one executes, each at least as far, measures no less
-of the verification cloud, brings no bodies into one another, and takes less time. What the search promised counts
-nothing.
+The new one is taken only if it passes its verification, executes every sweep that the old one executes, each at least
+as far, measures no less of the verification cloud, brings no bodies into one another, lets nothing tip that stands now
+or tips otherwise, and takes less time. What the search promised counts nothing.
 """
 
 from __future__ import annotations
@@ -34,9 +34,12 @@ class ComparisonParams(Params):
 
     gain_s: float = Field(default=0.01, gt=0, description="Seconds by which a placement must shorten the cycle.")
     lost_coverage: float = Field(default=0.0, ge=0, lt=1, description="Share of the cloud that it may measure less.")
+    failure: str = Field(
+        default="", description="Why the plan in the new placement fails its verification; empty if it does not."
+    )
 
 
-@stage(version=1)
+@stage(version=2)
 def compare_placements(
     placement: Placement,
     cell: CellModel,
@@ -56,7 +59,7 @@ def compare_placements(
     Without a plan in the new placement the old one is kept, for the reason that the search gave.
     """
     before, after = _cycle(trajectory), _cycle(trajectory)
-    refusal, picture, plan, seen = placement.reason, b"", trajectory, coverage
+    refusal, picture, plan, seen = "", b"", trajectory, coverage
     if moved_cell is not None and moved_trajectory is not None and moved_overlaps is not None:
         new = moved_trajectory, moved_coverage, moved_overlaps
         refusal = _refusal((trajectory, coverage, overlaps), new, params)
@@ -78,7 +81,8 @@ def compare_placements(
         refused_count=placement.refused_count,
         moves=placement.moves,
         moved=moved,
-        reason=placement.reason if moved or not placement.is_better else f"{words} looked better, but {refusal}",
+        reason=f"{words} looked better, but {refusal}" if refusal else placement.reason,
+        refusal=refusal,
         cycle_before_s=before,
         cycle_after_s=after,
         scanning_before_s=_scanning(trajectory),
@@ -99,6 +103,8 @@ def _refusal(
     """Return why the new placement is not taken, empty if it is."""
     from schemas.placement_objects import executed_spans
 
+    if params.failure:
+        return f"its plan fails its verification: {params.failure}"
     spans, moved_spans = executed_spans(old[0]), executed_spans(new[0])
     missing = [view for view in spans if view not in moved_spans]
     if missing:
@@ -117,8 +123,9 @@ def _refusal(
     for body, other, depth in zip(new[2].body, new[2].other, new[2].depth_m.tolist()):
         if depth > known.get((body, other), 0.0) + new[2].resting_m:
             return f"{body} and {other} would stand in one another there, by at least {1e3 * depth:.1f} mm"
-    if new[2].tipping and not old[2].tipping:
-        return f"there {new[2].tipping[0]}"
+    tipping = [words for words in new[2].tipping if words not in old[2].tipping]
+    if tipping:
+        return f"there {tipping[0]}"
     if new[1] is None:
         return "nothing was scanned there"
     if old[1].share_measured - new[1].share_measured > params.lost_coverage:

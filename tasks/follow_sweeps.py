@@ -9,46 +9,14 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from pydantic import Field
-
-from schemas.params import Params
 from schemas.part import PartMesh
-from schemas.poses import Pose
 from schemas.sources import CellModel
 from schemas.stage import Progress, no_progress, stage
+from schemas.sweep_params import SweepParams
 from schemas.views import Measurability, Reachability, Viewpoints
 
 if TYPE_CHECKING:
-    from cellwright.solvers.sweeps.poses import FollowSettings
-
-
-class SweepParams(Params):
-    """Settings of the reachability stage."""
-
-    T_world_part: Pose = Field(default=Pose(), description="Pose of the part in the world.")
-    step_m: float = Field(default=0.005, gt=0, le=0.05, description="Largest distance of the checked poses on a sweep.")
-    margin_m: float = Field(default=0.030, ge=0, description="Run-in and run-out beyond the outermost samples.")
-    shortest_m: float = Field(default=0.050, gt=0, description="Shortest piece worth executing (paper: 50 mm).")
-    scan_speed_m_s: float = Field(default=0.1, gt=0, description="Speed of the scanner on a sweep.")
-    clearance_m: float = Field(default=0.005, ge=0, description="Distance kept between bodies.")
-    max_exact_checks: int = Field(
-        default=20_000,
-        ge=0,
-        description="Most states on which the exact collision engine is asked where the fast filter does not decide.",
-    )
-
-    def settings(self) -> FollowSettings:
-        """Return the settings as the library takes them."""
-        from cellwright.solvers.sweeps.poses import FollowSettings
-
-        return FollowSettings(
-            margin=self.margin_m,
-            step=self.step_m,
-            scan_speed=self.scan_speed_m_s,
-            shortest=self.shortest_m,
-            clearance=self.clearance_m,
-            max_exact_checks=self.max_exact_checks,
-        )
+    pass
 
 
 @stage(version=2)

@@ -124,10 +124,16 @@ def test_where_the_moved_plan_fails_its_verification_nothing_moves_and_it_says_s
     monkeypatch.setattr(VerificationScene, "collision", fails_once)
     kept = inspection.run(cell, lake=lake_url, direct=True, refresh=["verify_plan"])
     assert moved.summary["placement"]["moved"] and not failures
-    assert kept.refs["trajectory"] == unmoved.refs["trajectory"] and "placement" not in kept.summary
-    (note,) = kept.notes
-    assert note.startswith("nothing moves: a shorter plan in another placement fails its verification: ")
-    assert "arm" in note and all(record.name != "verify_plan moved" for record in kept.records)
+    assert kept.refs["trajectory"] == unmoved.refs["trajectory"]
+    told = kept.summary["placement"]
+    assert not told["moved"] and told["cycle_after_s"] == told["cycle_before_s"] == unmoved.summary["duration_s"]
+    assert told["refusal"].startswith("its plan fails its verification: ") and "arm" in told["refusal"]
+    assert dict(kept.rows())["placement"] == f"kept: {told['reason']}"
+    assert b"stays where the cell file puts it: x " in kept.report.page
+    assert b"looked better, but its plan fails its verification" in kept.report.page
+    outcome: Any = Lake(lake_url).load(kept.refs["placement"])
+    assert not outcome.moved
+    assert all(record.name != "verify_plan moved" for record in kept.records)
 
 
 def test_a_plan_that_fails_is_shown_where_the_part_stands(

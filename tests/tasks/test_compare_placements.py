@@ -35,8 +35,9 @@ def placement(**changes: Any) -> Placement:
             refused_cause=("out of reach", ""),
             refused_count=np.array([7, 2], np.int64),
             trace_judged=np.array([1, 5], np.int64),
-            trace_cycle_s=np.array([1.9, 1.7]),
+            trace_estimate_s=np.array([1.9, 1.7]),
             trial_value=np.array([[0.01, 0.0]]),
+            trial_estimate_s=np.array([1.75]),
             trial_bound_s=np.array([1.7]),
             trial_cycle_s=np.array([1.8]),
             trial_reason=("",),
@@ -62,7 +63,7 @@ def faster() -> Any:
     return plan.changed(now, time_s=0.9 * now.time_s, start_s=0.9 * now.start_s, end_s=0.9 * now.end_s)
 
 
-def compared(found: Placement | None = None, **moved: Any) -> PlacementOutcome:
+def compared(found: Placement | None = None, failure: str = "", **moved: Any) -> PlacementOutcome:
     """Compare the plan with a faster one; keywords replace what belongs to that."""
     new = {
         "moved_cell": plan.cell(),
@@ -72,14 +73,14 @@ def compared(found: Placement | None = None, **moved: Any) -> PlacementOutcome:
     }
     old = plan.cell(), plate(), plan.trajectory(), plan.coverage(), plan.overlaps()
     outcome: PlacementOutcome = compare_placements(
-        found or placement(), *old, *(new | moved).values(), params=ComparisonParams()
+        found or placement(), *old, *(new | moved).values(), params=ComparisonParams(failure=failure)
     )
     return outcome
 
 
 def test_a_faster_plan_that_loses_nothing_is_taken() -> None:
     outcome = compared()
-    assert outcome.moved and outcome.value.tolist() == [0.01, 0.0]
+    assert outcome.moved and outcome.value.tolist() == [0.01, 0.0] and outcome.refusal == ""
     assert (outcome.cycle_before_s, outcome.cycle_after_s) == pytest.approx((2.0, 1.8))
     assert (outcome.scanning_before_s, outcome.scanning_after_s) == pytest.approx((1.0, 0.9))
     figures = placement_figures(outcome)
@@ -101,17 +102,18 @@ def test_without_another_plan_the_placement_is_kept_for_the_searchs_reason() -> 
         placement(is_better=False, reason="nothing is better"),
         moved_cell=None, moved_trajectory=None, moved_coverage=None, moved_overlaps=None,
     )  # fmt: skip
-    assert not kept.moved and kept.reason == "nothing is better"
+    assert not kept.moved and kept.reason == "nothing is better" and kept.refusal == ""
     assert kept.cycle_after_s == kept.cycle_before_s == 2.0
     assert kept.value.tolist() == [0.0, 0.0] and kept.picture == b""
 
 
-def refusal(**moved: Any) -> str:
-    kept = compared(**moved)
+def refusal(failure: str = "", **moved: Any) -> str:
+    kept = compared(failure=failure, **moved)
     assert not kept.moved and kept.cycle_after_s == kept.cycle_before_s and kept.picture == b""
     words = "x 10.0 mm, yaw 0.0 deg looked better, but "
     assert kept.reason.startswith(words)
-    return kept.reason.removeprefix(words)
+    assert kept.reason == words + kept.refusal == words + placement_figures(kept)["refusal"]
+    return kept.refusal
 
 
 def test_a_plan_that_takes_as_long_is_not_taken() -> None:
@@ -157,6 +159,19 @@ def test_bodies_that_stand_deeper_in_one_another_are_not_taken() -> None:
 def test_a_part_that_would_tip_is_not_taken() -> None:
     tipping = plan.changed(plan.overlaps(), tipping=("the part would tip",))
     assert refusal(moved_overlaps=tipping) == "there the part would tip"
+
+
+def test_a_part_that_tips_in_another_way_is_not_taken_one_that_tips_as_before_is() -> None:
+    now, then = (plan.changed(plan.overlaps(), tipping=(f"the part would tip {how}",)) for how in ("left", "right"))
+    old = plan.cell(), plate(), plan.trajectory(), plan.coverage(), now
+    for overlaps, expected in ((then, "there the part would tip right"), (now, "")):
+        new = plan.cell(), faster(), plan.coverage(), overlaps
+        kept: PlacementOutcome = compare_placements(placement(), *old, *new, params=ComparisonParams())
+        assert kept.refusal == expected and kept.moved == (not expected)
+
+
+def test_a_plan_that_fails_its_verification_is_not_taken_however_fast() -> None:
+    assert refusal("arm meets part at 1.20 s") == "its plan fails its verification: arm meets part at 1.20 s"
 
 
 def test_the_result_is_the_one_of_this_version() -> None:

@@ -6,19 +6,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cellwright.cell.transforms import inverse, pose
 from cellwright.errors import InvalidInputError
 from schemas.artefact import digest
 from schemas.layout_params import HarnessParams
 from schemas.placement import Placement
 from schemas.sphere_hull import SphereHull
+from schemas.sweep_params import StitchParams, SweepParams
 from schemas.views import Measurability
 from tasks.fit_spheres import SphereParams, fit_spheres
-from tasks.follow_sweeps import SweepParams
 from tasks.optimise_placement import PlacementParams, optimise_placement
-from tasks.stitch_sweeps import StitchParams, stitch_sweeps
+from tasks.stitch_sweeps import stitch_sweeps
 from tests.cellwright.solvers import scanning_cell
-from tests.cellwright.solvers.layout.placed_sweeps import MARGIN, harness
+from tests.cellwright.solvers.placement.placed_sweeps import MARGIN, harness
 from tests.tasks.goldens import check_golden
 from tests.tasks.scanning_artefacts import PART_POSE, T_WORLD_PART, cell_model, part_mesh, reachability, viewpoints
 
@@ -78,7 +77,8 @@ def found() -> Placement:
 
 def test_a_better_placement_is_found_and_its_true_cycle_is_shorter() -> None:
     assert found().is_better
-    assert found().bound_before_s <= found().cycle_before_s == trajectory().time_s[-1]
+    assert 0.5 * found().cycle_before_s < found().bound_before_s <= found().cycle_before_s
+    assert found().cycle_before_s == trajectory().time_s[-1]
     assert found().cycle_s == found().trial_cycle_s.min() < found().cycle_before_s
     assert (found().trial_bound_s <= found().trial_cycle_s + 1e-9).all()
     assert np.abs(found().value).max() > 0.0
@@ -150,8 +150,8 @@ def test_every_refused_design_has_its_cause_and_is_counted() -> None:
     assert all(cause for test, cause in zip(found().refused_test, found().refused_cause) if test == "sweep")
 
 
-def test_the_best_optimistic_cycle_falls() -> None:
-    assert (np.diff(found().trace_cycle_s) < 0.0).all() and (np.diff(found().trace_judged) > 0).all()
+def test_the_least_estimate_falls() -> None:
+    assert (np.diff(found().trace_estimate_s) < 0.0).all() and (np.diff(found().trace_judged) > 0).all()
 
 
 def test_the_placement_is_the_same_whenever_it_is_searched() -> None:
@@ -187,10 +187,23 @@ def test_progress_rises_to_one() -> None:
     assert shares == sorted(shares) and shares[-1] == 1.0
 
 
+def decisions(placement: Placement) -> tuple[Any, ...]:
+    """What was decided, in figures that end alike on every processor."""
+    tried = zip(placement.trial_method, placement.trial_reason, placement.trial_cycle_s.tolist())
+    refused = zip(placement.refused_test, placement.refused_what, placement.refused_cause)
+    gaps = zip(placement.gap_moved, placement.gap_standing, placement.gap_m.tolist())
+    return (
+        placement.is_better,
+        placement.n_judged,
+        np.round(placement.value, 3).tolist(),
+        np.round([placement.cycle_before_s, placement.cycle_s, placement.bound_before_s], 2).tolist(),
+        np.round([placement.trial_estimate_s, placement.trial_bound_s], 2).tolist(),
+        [(method, reason, round(cycle, 2)) for method, reason, cycle in tried],
+        sorted(zip(refused, placement.refused_count.tolist())),
+        [(moved, standing, round(gap, 3)) for moved, standing, gap in gaps],
+    )
+
+
 def test_the_result_is_the_one_of_this_version() -> None:
-    """Decisions alone: cycles and joints of a search end differently on another processor."""
-    kept = run(n_evaluations=1)
-    pinned = pose(np.array([0.0, 0.0, 0.0]), np.eye(3)) @ inverse(kept.T_world_motion)
-    figures = np.round([kept.cycle_before_s, kept.bound_before_s], 2).tolist()
-    shown = kept.joint, kept.value.tolist(), figures, kept.reason, np.round(pinned, 9).tolist()
-    check_golden(optimise_placement, repr(shown))
+    """Decisions alone, of a short search that ends along the gradient, and of one that finds nothing."""
+    check_golden(optimise_placement, repr(decisions(refined())), repr(decisions(run(n_evaluations=1))))

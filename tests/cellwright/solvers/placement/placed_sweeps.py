@@ -11,7 +11,8 @@ import numpy as np
 from cellwright.cell.bodies import WORLD, Body, Box
 from cellwright.cell.harness import Harness, planar
 from cellwright.cell.transforms import inverse, pose
-from cellwright.solvers.layout.placement import PlacementJudge, PlacementProblem
+from cellwright.solvers.placement.judge import PlacementJudge
+from cellwright.solvers.placement.problem import PlacementProblem
 from cellwright.solvers.sweeps.poses import CandidateSweeps, FollowSettings
 from tests.cellwright.solvers import scanning_cell
 
@@ -52,6 +53,7 @@ def problem(n: int = 5, **changes: Any) -> PlacementProblem:
         "required": np.tile([-HALF, HALF], (n, 1)),
         "names": tuple(f"view {number}" for number in range(n)),
         "follow": FOLLOW,
+        "scan_speed": FOLLOW.scan_speed,
         "tool_acceleration": 1.0,
         "returns": False,
         "most_alternatives": 4,

@@ -12,22 +12,22 @@ import pytest
 from cellwright.cell.bodies import WORLD, Body, Box
 from cellwright.cell.transforms import pose
 from cellwright.solvers.layout.bodies import Spheres
-from cellwright.solvers.layout.placement import PlacementProblem
-from cellwright.solvers.layout.placement_refinement import (
+from cellwright.solvers.placement.problem import PlacementProblem
+from cellwright.solvers.placement.refined_trials import refine_trials
+from cellwright.solvers.placement.refinement import (
     MOVED,
     Refinement,
     layout_problem,
     proven_gaps,
     refine_design,
 )
-from cellwright.solvers.layout.placement_search import FoundDesigns
-from cellwright.solvers.layout.placement_trial import Trial, TrialSettings, try_designs
-from cellwright.solvers.layout.refined_trials import refine_trials
+from cellwright.solvers.placement.search import FoundDesigns
+from cellwright.solvers.placement.trial import Trial, TrialSettings, try_designs
 from cellwright.solvers.stitched_plan import StitchSettings
-from tests.cellwright.solvers.layout import placed_sweeps
+from tests.cellwright.solvers.placement import placed_sweeps
 
 BLOCK = Body("block", Box((0.2, 0.2, 0.2)), WORLD, pose(np.array([0.0, -0.9, 0.1]), np.eye(3)))
-SETTINGS = TrialSettings(StitchSettings(scan_speed=0.2, max_alternatives=4), "best", 0, 1e-3)
+SETTINGS = TrialSettings(StitchSettings(scan_speed=0.2, max_alternatives=4), "best", 0)
 ZERO = np.zeros(3)
 
 
@@ -42,8 +42,8 @@ def trial() -> Trial:
     """The present placement, stitched."""
     judge = placed_sweeps.judge()
     present = judge.judge(ZERO)
-    found = FoundDesigns(ZERO[None], np.array([present.cycle]), present, {}, 1, np.zeros((0, 2)))
-    (tried,) = try_designs(judge.problem, found, SETTINGS, cycle_now=np.inf)
+    found = FoundDesigns(ZERO[None], np.array([present.estimate]), present, {}, 1, np.zeros((0, 2)))
+    (tried,) = try_designs(judge, found, SETTINGS, cycle_now=np.inf)
     return tried
 
 

@@ -1,6 +1,6 @@
 """Go on from the best placements that were tried, along the gradient between certified hulls, and try what is found.
 
-A step along the gradient of a whole plan (`cellwright.solvers.layout.placement_refinement`) knows neither the tests of
+A step along the gradient of a whole plan (`cellwright.solvers.placement.refinement`) knows neither the tests of
 the judge nor the way around the workpiece. So it is kept short, shorter where the judge refuses what it leads to, and
 only a true plan with a shorter cycle counts.
 """
@@ -12,9 +12,9 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from cellwright.solvers.layout.bodies import Spheres
-from cellwright.solvers.layout.placement import PlacementJudge
-from cellwright.solvers.layout.placement_refinement import refine_design
-from cellwright.solvers.layout.placement_trial import Trial, TrialSettings, overlap_depths, try_design
+from cellwright.solvers.placement.judge import PlacementJudge
+from cellwright.solvers.placement.refinement import refine_design
+from cellwright.solvers.placement.trial import Promise, Trial, TrialSettings, overlap_depths, try_design
 
 TRUST = (0.1, 0.03)
 """Shares of the design joints' ranges that a step may change, tried in turn."""
@@ -45,18 +45,31 @@ def refine_trials(
     """
     first = sorted((trial for trial in trials if np.isfinite(trial.cycle)), key=lambda trial: trial.cycle)[:most]
     best = min((trial.cycle for trial in first), default=np.inf)
-    depths = overlap_depths(judge.problem.cell, settings) if first else {}
+    depths = overlap_depths(judge.problem, np.zeros(judge.problem.harness.n_joints)) if first else {}
     found: list[Trial] = []
     for number, trial in enumerate(first):
-        for trust in TRUST:
-            refined = refine_design(judge.problem, hulls, trial.plan, trial.values, trust=trust)
-            if refined is None:
-                continue
-            bound = judge.judge(refined.values).cycle
-            if bound < best - gain:
-                found.append(try_design(judge.problem, refined.values, bound, settings, depths, GRADIENT))
-                best = min(best, found[-1].cycle)
-                break
+        promise = _promise(judge, trial, hulls, best - gain)
+        if promise is not None:
+            found.append(try_design(judge.problem, promise, settings, depths))
+            best = min(best, found[-1].cycle)
         progress((number + 1) / len(first))
     progress(1.0)
     return found
+
+
+def _promise(judge: PlacementJudge, trial: Trial, hulls: Mapping[str, Spheres], below: float) -> Promise | None:
+    """Return what the gradient leads to from a trial, ``None`` if that provably takes no less than ``below`` s.
+
+    The furthest step that is estimated to take less, else the one with the least estimate.
+    """
+    promises = []
+    for trust in TRUST:
+        refined = refine_design(judge.problem, hulls, trial.plan, trial.values, trust=trust)
+        if refined is None:
+            continue
+        promise = Promise(refined.values, judge.judge(refined.values).estimate, judge.bound(refined.values), GRADIENT)
+        if promise.estimate < below:
+            return promise
+        if promise.bound < below:
+            promises.append(promise)
+    return min(promises, key=lambda promise: promise.estimate, default=None)

@@ -6,20 +6,20 @@ do, and the cycle is the plan's. Some seconds a placement.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from cellwright.arrays import FloatArray
 from cellwright.causes import Cause
-from cellwright.cell.cell import Cell
 from cellwright.cell.motion_filter import FilteredScene
 from cellwright.cell.scene import Scene
 from cellwright.cell.standing_overlaps import standing_overlaps
-from cellwright.solvers.layout.placement import SAME_TRAVEL, PlacementProblem
-from cellwright.solvers.layout.placement_refinement import N_POSES, ExecutedSweep
-from cellwright.solvers.layout.placement_search import FoundDesigns
+from cellwright.solvers.placement.judge import SAME_TRAVEL, PlacementJudge
+from cellwright.solvers.placement.problem import PlacementProblem
+from cellwright.solvers.placement.refinement import N_POSES, ExecutedSweep
+from cellwright.solvers.placement.search import FoundDesigns
 from cellwright.solvers.stitched_plan import StitchedPlan, StitchSettings
 from cellwright.solvers.stitching import stitch
 from cellwright.solvers.sweeps.following import FollowedSweeps, follow_sweeps
@@ -34,15 +34,11 @@ class TrialSettings:
         stitch: How the sweeps are connected.
         method: Which orders, see `stitch`.
         seed: Seed of roadmap and shortening.
-        resting: Bodies no deeper in one another rest on each other, m.
-        permitted: Pairs of rows of bodies that may stand in one another.
     """
 
     stitch: StitchSettings
     method: str
     seed: int
-    resting: float
-    permitted: tuple[tuple[int, int], ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +47,8 @@ class Trial:
 
     Attributes:
         values: Design joints, (joints,).
-        bound: Its optimistic cycle in s.
+        estimate: What its cycle was estimated to be, s.
+        bound: What no plan there undercuts, s.
         cycle: The plan's cycle in s; infinite if it cannot be executed in full.
         reason: Why not; empty if it can.
         plan: The sweeps as it executes them, in order.
@@ -59,6 +56,7 @@ class Trial:
     """
 
     values: FloatArray
+    estimate: float
     bound: float
     cycle: float
     reason: str
@@ -67,49 +65,58 @@ class Trial:
 
 
 def try_designs(
-    problem: PlacementProblem,
+    judge: PlacementJudge,
     found: FoundDesigns,
     settings: TrialSettings,
     *,
     cycle_now: float,
     progress: Callable[[float], None] = lambda share: None,
 ) -> list[Trial]:
-    """Try designs in the order of their optimistic cycles until none that is left can beat the best one.
+    """Try designs in the order of their estimates, but for those that provably cannot beat the best one before them.
 
     ``cycle_now`` is the cycle of the present placement in s.
     """
-    depths = overlap_depths(problem.cell, settings)
+    depths = overlap_depths(judge.problem, np.zeros(judge.problem.harness.n_joints))
     trials: list[Trial] = []
     best = cycle_now
-    for number, (values, bound) in enumerate(zip(found.values, found.cycle.tolist())):
-        if bound >= best:
-            break
-        trials.append(try_design(problem, values, bound, settings, depths))
-        best = min(best, trials[-1].cycle)
+    for number, (values, estimate) in enumerate(zip(found.values, found.estimate.tolist())):
+        bound = judge.bound(values)
+        if bound < best:
+            trials.append(try_design(judge.problem, Promise(values, estimate, bound), settings, depths))
+            best = min(best, trials[-1].cycle)
         progress((number + 1) / len(found.values))
     progress(1.0)
     return trials
 
 
-def try_design(
-    problem: PlacementProblem,
-    values: FloatArray,
-    bound: float,
-    settings: TrialSettings,
-    depths: dict[tuple[str, str], float],
-    method: str = "search",
-) -> Trial:
-    """Return what a design (joints,) truly comes to.
+@dataclass(frozen=True, eq=False)
+class Promise:
+    """A design, what its cycle is estimated to be and what no plan there undercuts in s, and how it was found."""
 
-    ``bound`` is its optimistic cycle in s, ``depths`` how deep bodies stand in one another in the present placement.
+    values: FloatArray
+    estimate: float
+    bound: float
+    method: str = "search"
+
+
+def try_design(
+    problem: PlacementProblem, promise: Promise, settings: TrialSettings, depths: Mapping[tuple[str, str], float]
+) -> Trial:
+    """Return what a design truly comes to.
+
+    ``depths`` is how deep bodies stand in one another in the present placement.
     """
+    values = promise.values
+
+    def tried(cycle: float, reason: str = "", plan: tuple[ExecutedSweep, ...] = ()) -> Trial:
+        return Trial(values, promise.estimate, promise.bound, cycle, reason, plan, promise.method)
 
     def refused(reason: str) -> Trial:
-        return Trial(values, bound, np.inf, reason, method=method)
+        return tried(np.inf, reason)
 
     cell, sweeps = problem.moved_cell(values), problem.moved_sweeps(values)
-    for (body, other), depth in overlap_depths(cell, settings).items():
-        if depth > depths.get((body, other), 0.0) + settings.resting:
+    for (body, other), depth in overlap_depths(problem, values).items():
+        if depth > depths.get((body, other), 0.0) + problem.resting:
             return refused(f"{body} and {other} would stand in one another, by at least {1e3 * depth:.1f} mm")
     scene = Scene(cell, problem.follow.clearance)
     touching = scene.colliding_pair(problem.cell.start)
@@ -131,7 +138,7 @@ def try_design(
     if plan.left_out:
         first = plan.left_out[0]
         return refused(f"{problem.names[first.sweep]}: {first.reason}")
-    return Trial(values, bound, _duration(plan), "", _executed(problem, plan), method)
+    return tried(_duration(plan), plan=_executed(problem, plan))
 
 
 def _duration(plan: StitchedPlan) -> float:
@@ -151,9 +158,10 @@ def _executed(problem: PlacementProblem, plan: StitchedPlan) -> tuple[ExecutedSw
     return tuple(found)
 
 
-def overlap_depths(cell: Cell, settings: TrialSettings) -> dict[tuple[str, str], float]:
-    """Return how deep standing bodies stand in one another, in m by their names, rest not counted."""
-    overlaps, _ = standing_overlaps(cell, resting=settings.resting, permitted=settings.permitted)
+def overlap_depths(problem: PlacementProblem, values: FloatArray) -> dict[tuple[str, str], float]:
+    """Return how deep standing bodies stand in one another at a design, in m by their names, rest not counted."""
+    cell = problem.moved_cell(values)
+    overlaps, _ = standing_overlaps(cell, resting=problem.resting, permitted=problem.permitted)
     return {(overlap.body, overlap.other): overlap.depth for overlap in overlaps}
 
 

@@ -15,12 +15,12 @@ from cellwright.cell.harness import fixed
 from cellwright.cell.sphere_filter import sphere_filter
 from cellwright.cell.transforms import inverse
 from cellwright.solvers.joint_branches import TURN
-from cellwright.solvers.layout.placement import FIELD_PADDING, PlacementJudge, Refusal
-from cellwright.solvers.layout.placement_kernels import alternatives_into, best_piece, straight_times
 from cellwright.solvers.path_timing import Limits, time_straight
+from cellwright.solvers.placement.judge import FIELD_PADDING, PlacementJudge, Refusal
+from cellwright.solvers.placement.kernels import alternatives_into, best_piece, straight_times
 from cellwright.solvers.sweeps.order_kernels import improve_sequence
 from tests.cellwright.solvers import scanning_cell
-from tests.cellwright.solvers.layout.placed_sweeps import FOLLOW, POST, harness, judge, problem
+from tests.cellwright.solvers.placement.placed_sweeps import FOLLOW, POST, harness, judge, problem
 
 DESIGN = np.array([0.03, -0.05, 0.4])
 STILL = np.zeros(3)
@@ -42,9 +42,9 @@ def test_the_identity_changes_nothing() -> None:
     assert verdict.refusal is None
 
 
-def test_the_cycle_is_optimistic() -> None:
+def test_the_estimate_is_near_the_true_cycle() -> None:
     true = sum(segment.motion.duration for segment in scanning_cell.plan().segments)
-    assert 0.8 * true < judge().judge(STILL).cycle <= true
+    assert 0.8 * true < judge().judge(STILL).estimate <= true
 
 
 def test_only_the_part_and_what_it_carries_are_moved() -> None:
@@ -61,7 +61,7 @@ def test_moving_all_that_stands_is_moving_the_base_the_other_way() -> None:
     of_world = PlacementJudge(problem(carried=("table",))).judge(DESIGN)
     base = PlacementJudge(problem(moves_base=True, harness=back)).judge(np.zeros(0))
     assert (of_world.refusal, of_world.what) == (base.refusal, base.what)
-    assert of_world.cycle == pytest.approx(base.cycle, abs=1e-9)
+    assert of_world.estimate == pytest.approx(base.estimate, abs=1e-9)
 
 
 def test_shifting_the_filter_is_making_it_of_the_moved_cell() -> None:
@@ -81,7 +81,7 @@ def test_shifting_the_filter_is_making_it_of_the_moved_cell() -> None:
 def test_what_stands_in_one_another_is_refused_by_its_names() -> None:
     verdict = PlacementJudge(problem(cell=with_post(), harness=harness(0.5))).judge(np.array([0.0, 0.4, 0.0]))
     assert (verdict.refusal, verdict.what) == (Refusal.OVERLAP, "part and post")
-    assert verdict.cycle == np.inf
+    assert verdict.estimate == np.inf
 
 
 def test_a_start_that_meets_a_carried_body_is_refused() -> None:
@@ -107,15 +107,15 @@ def test_a_sweep_that_would_be_shorter_is_refused() -> None:
 
 
 def test_more_sweeps_than_the_exact_order_takes_are_searched(monkeypatch: pytest.MonkeyPatch) -> None:
-    exact = judge().judge(STILL).cycle
-    monkeypatch.setattr("cellwright.solvers.layout.placement.EXACT_UP_TO", 0)
-    searched = judge().judge(STILL).cycle
+    exact = judge().judge(STILL).estimate
+    monkeypatch.setattr("cellwright.solvers.placement.cycles.EXACT_UP_TO", 0)
+    searched = judge().judge(STILL).estimate
     assert exact - 1e-9 <= searched <= 1.1 * exact
 
 
 def test_the_way_back_counts_if_it_is_asked_for() -> None:
-    there = judge().judge(STILL).cycle
-    assert PlacementJudge(problem(returns=True)).judge(STILL).cycle > there
+    there = judge().judge(STILL).estimate
+    assert PlacementJudge(problem(returns=True)).judge(STILL).estimate > there
 
 
 def test_the_exact_order_is_no_longer_than_any(rng_seed: int = 0) -> None:

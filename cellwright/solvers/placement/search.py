@@ -1,4 +1,4 @@
-"""Search the harness's box for placements with a short optimistic cycle: a particle swarm, then steps around the best.
+"""Search the harness's box for placements with a short estimated cycle: a particle swarm, then steps around the best.
 
 The swarm (`cellwright.solvers.particle_swarm`) starts with one particle in the present placement. A refused design
 counts as worse the fewer of the tests it passed, so that the swarm finds its way into the few percent of the box where
@@ -18,8 +18,8 @@ import numpy as np
 
 from cellwright.arrays import FloatArray
 from cellwright.errors import InvalidInputError
-from cellwright.solvers.layout.placement import PlacementJudge, Refusal, Verdict
 from cellwright.solvers.particle_swarm import SwarmSettings, minimise
+from cellwright.solvers.placement.judge import PlacementJudge, Refusal, Verdict
 from cellwright.threads import n_usable_cores
 
 DISTINCT = 0.08
@@ -66,16 +66,16 @@ class FoundDesigns:
     """What the search came to.
 
     Attributes:
-        values: Distinct designs by rising optimistic cycle, (designs, joints).
-        cycle: Their optimistic cycles in s, (designs,).
+        values: Distinct designs by rising estimate of their cycle, (designs, joints).
+        estimate: These estimates in s, (designs,).
         present: Verdict on the present placement.
         refused: How many designs were refused, by test, body or sweep, and `Cause`.
         n_evaluated: Designs judged.
-        trace: Evaluations made when the best cycle improved, and that cycle, (improvements, 2).
+        trace: Evaluations made when the best estimate improved, and that estimate, (improvements, 2).
     """
 
     values: FloatArray
-    cycle: FloatArray
+    estimate: FloatArray
     present: Verdict
     refused: dict[tuple[Refusal, str, int], int]
     n_evaluated: int
@@ -87,23 +87,23 @@ class _Archive:
     """All designs judged so far, in order."""
 
     values: list[FloatArray] = field(default_factory=list)
-    cycle: list[float] = field(default_factory=list)
+    estimate: list[float] = field(default_factory=list)
     refused: Counter[tuple[Refusal, str, int]] = field(default_factory=Counter)
     trace: list[tuple[float, float]] = field(default_factory=list)
 
     def add(self, values: FloatArray, verdict: Verdict) -> None:
         self.values.append(np.array(values))
-        self.cycle.append(verdict.cycle)
+        self.estimate.append(verdict.estimate)
         if verdict.refusal is not None:
             self.refused[verdict.refusal, verdict.what, verdict.cause] += 1
-        elif not self.trace or verdict.cycle < self.trace[-1][1]:
-            self.trace.append((float(len(self.values)), verdict.cycle))
+        elif not self.trace or verdict.estimate < self.trace[-1][1]:
+            self.trace.append((float(len(self.values)), verdict.estimate))
 
     def distinct(self, span: FloatArray, count: int) -> list[int]:
         """Return the rows of the best designs that are not refused, far enough from each other."""
         kept: list[int] = []
-        for row in np.argsort(self.cycle, kind="stable").tolist():
-            if not np.isfinite(self.cycle[row]) or len(kept) == count:
+        for row in np.argsort(self.estimate, kind="stable").tolist():
+            if not np.isfinite(self.estimate[row]) or len(kept) == count:
                 break
             away = [np.max(np.abs(self.values[row] - self.values[other]) / span) for other in kept]
             if not away or min(away) >= DISTINCT:
@@ -154,12 +154,12 @@ def search_designs(
         seeds = archive.distinct(span, settings.n_kept)
         for number, row in enumerate(seeds):
             left = (budget - len(archive.values)) // (len(seeds) - number)
-            _step_around(judged, archive.values[row], archive.cycle[row], (lower, upper), left)
+            _step_around(judged, archive.values[row], archive.estimate[row], (lower, upper), left)
     kept = [row for row in archive.distinct(span, settings.n_kept + 1) if np.abs(archive.values[row]).max() > 0.0]
     kept = kept[: settings.n_kept]
     return FoundDesigns(
         np.array([archive.values[row] for row in kept]).reshape(-1, len(lower)),
-        np.array([archive.cycle[row] for row in kept]),
+        np.array([archive.estimate[row] for row in kept]),
         present,
         dict(archive.refused),
         len(archive.values),
@@ -168,7 +168,7 @@ def search_designs(
 
 
 def _cost(verdict: Verdict) -> float:
-    return verdict.cycle if verdict.refusal is None else REFUSED * (1.0 + verdict.n_untested)
+    return verdict.estimate if verdict.refusal is None else REFUSED * (1.0 + verdict.n_untested)
 
 
 def _step_around(

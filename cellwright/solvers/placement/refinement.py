@@ -29,11 +29,11 @@ from cellwright.solvers.layout.checks import all_layout_checks
 from cellwright.solvers.layout.geometry import LayoutGeometry
 from cellwright.solvers.layout.mesh import build_mesh
 from cellwright.solvers.layout.nlp import LayoutPoint
-from cellwright.solvers.layout.placement import PlacementProblem
 from cellwright.solvers.layout.problem import HOME, Approach, LayoutProblem, Station, Visit
 from cellwright.solvers.layout.rounds import solve_lazily
 from cellwright.solvers.layout.second_order import least_times
 from cellwright.solvers.layout.symbols import LayoutSymbols
+from cellwright.solvers.placement.problem import PlacementProblem
 
 MOVED = "what moves"
 """Name of the station that the sweeps belong to."""
