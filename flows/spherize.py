@@ -16,10 +16,9 @@ import numpy as np
 
 import tasks
 from cellwright.cell.built_in_robots import BUILT_IN, built_in_digest
-from cellwright.cell.part import METRES_PER_UNIT
-from cellwright.cell.urdf_geometry import mesh_references, resolve_mesh
 from cellwright.errors import InvalidInputError
 from flows.execution import Watcher, open_lake
+from flows.mesh_sources import all_robot_meshes, carries_unit, metres_per_unit
 from flows.result_folder import prepare_folder, write_files
 from flows.runner import Steps
 from schemas.body_params import MeshBody
@@ -28,6 +27,7 @@ from schemas.cell_file_messages import did_you_mean
 from schemas.layout import RobotHull
 from schemas.references import Ref
 from schemas.sphere_hull import SphereHull
+from schemas.sphere_hull_columns import LENGTHS
 from tasks.cover_bodies import CoveredBody, CoverParams
 from tasks.read_source import SourceParams
 from tasks.spherize_robot import RobotHullParams
@@ -36,7 +36,6 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 ROBOT_SUFFIXES = (".urdf", ".xml")
-_OWN_UNIT = (".step", ".stp", ".3mf")
 
 
 @dataclass(frozen=True)
@@ -128,7 +127,7 @@ def run(
         cached = step.records()[-1].cached
     found: Any = open_lake(lake).load(ref)
     name = subject if covers_robot and subject in _built_in() else Path(subject).name
-    result = SpherizeResult(name, ref, _robot_rows(found) if covers_robot else _mesh_rows(found), cached)
+    result = SpherizeResult(name, ref, _robot_rows(found) if covers_robot else mesh_rows(found), cached)
     if out is not None:
         contents = (
             _robot_files(subject, found, packages, out) if covers_robot else _mesh_files(subject, found, unit, out)
@@ -165,30 +164,16 @@ def _robot(step: Steps, subject: str, n_spheres: int, seed: int, packages: Mappi
         params = RobotHullParams(robot=subject, robot_sha256=built_in_digest(subject), n_spheres=n_spheres, seed=seed)
         return step(tasks.spherize_robot, params, files=())
     urdf = Path(subject)
-    sources = [SourceParams.of(path) for path in (urdf, *_meshes_of(urdf, packages).values())]
-    known = {source.name: source for source in sources}
-    if len({(source.name, source.sha256) for source in sources}) > len(known):
-        raise InvalidInputError(f"{urdf} names two different meshes of one name: rename one of them")
-    files = tuple(step(tasks.read_source, source, label=source.name) for source in known.values())
+    meshes = all_robot_meshes(urdf, packages, "or name its package by --package NAME=FOLDER")
+    files = tuple(step(tasks.read_source, source, label=source.name) for source in (SourceParams.of(urdf), *meshes))
     params = RobotHullParams(robot=urdf.name, n_spheres=n_spheres, seed=seed)
     return step(tasks.spherize_robot, params, files=files)
 
 
-def _meshes_of(urdf: Path, packages: Mapping[str, Path]) -> dict[str, Path]:
-    try:
-        text = urdf.read_text("utf-8")
-    except UnicodeDecodeError as error:
-        raise InvalidInputError(f"{urdf} is not a URDF: it is not text in UTF-8") from error
-    except OSError as error:
-        raise InvalidInputError(f"{urdf} cannot be read ({error.strerror or error}): check the path") from error
-    try:
-        return {reference: resolve_mesh(reference, urdf.parent, packages) for reference in mesh_references(text)}
-    except InvalidInputError as error:
-        raise InvalidInputError(f"{urdf}: {error}; or name its package by --package NAME=FOLDER") from error
-
-
-def cover_mesh(step: Steps, subject: str, n_spheres: int, unit: str | None, seed: int, *, label: str = "") -> Any:
-    """Return the step that covers a mesh file with spheres.
+def cover_mesh(
+    step: Steps, subject: str, n_spheres: int, unit: str | None, seed: int, *, label: str = "", **fit: Any
+) -> Any:
+    """Return the step that covers a mesh file with spheres; ``fit`` holds further fields of `CoverParams`.
 
     Raises:
         InvalidInputError: If a mesh that carries its own unit is given another.
@@ -196,7 +181,7 @@ def cover_mesh(step: Steps, subject: str, n_spheres: int, unit: str | None, seed
     source = SourceParams.of(Path(subject))
     factor = unit_factor(subject, unit)
     body = MeshBody(name=Path(subject).stem, file=source.name, scale=(factor, factor, factor))
-    params = CoverParams(bodies=(CoveredBody(body=body, n_spheres=n_spheres),), seed=seed)
+    params = CoverParams(bodies=(CoveredBody(body=body, n_spheres=n_spheres),), seed=seed, **fit)
     return step(tasks.cover_bodies, params, label=label, files=(step(tasks.read_source, source, label="mesh"),))
 
 
@@ -206,35 +191,43 @@ def unit_factor(subject: str, unit: str | None) -> float:
     Raises:
         InvalidInputError: If a mesh that carries its own unit is given another.
     """
-    if Path(subject).suffix.lower() in _OWN_UNIT:
-        if unit is not None:
-            raise InvalidInputError(f"{Path(subject).name} carries its own unit: leave --unit out")
-        return 1.0
-    return METRES_PER_UNIT[unit or "mm"]
+    if carries_unit(Path(subject)) and unit is not None:
+        raise InvalidInputError(f"{Path(subject).name} carries its own unit: leave --unit out")
+    return metres_per_unit(Path(subject), unit)
 
 
 def _robot_rows(hull: RobotHull) -> list[dict[str, Any]]:
-    columns = ("n_spheres", "surface_covered", "coverage", "volume_ratio")
-    lengths = ("protrusion_mean_m", "protrusion_max_m", "overshoot_m")
     return [
-        {"body": link, **{name: getattr(hull, name)[row].item() for name in (*columns, *lengths)}}
+        {
+            "body": link,
+            "n_spheres": int(hull.n_spheres[row]),
+            "surface_covered": bool(hull.surface_covered[row]),
+            "interior": hull.interior[row],
+            **_metrics(hull, row),
+            "overshoot_m": float(hull.overshoot_m[row]),
+        }
         for row, link in enumerate(hull.link)
     ]
 
 
-def _mesh_rows(hull: SphereHull) -> list[dict[str, Any]]:
-    columns = ("coverage", "volume_ratio", "protrusion_mean_m", "protrusion_max_m")
+def mesh_rows(hull: SphereHull) -> list[dict[str, Any]]:
+    """Return a mapping for each body: proofs and metrics of its hull, lengths in m."""
     return [
         {
             "body": name,
             "n_spheres": int(hull.n_spheres[row]),
             "surface_covered": bool(hull.surface_covered[row]),
             "interior": hull.interior[row],
-            **{column: float(getattr(hull, column)[row]) for column in columns},
+            **_metrics(hull, row),
             "overshoot_m": float(hull.overshoot_max_m[row]),
         }
         for row, name in enumerate(hull.body)
     ]
+
+
+def _metrics(hull: RobotHull | SphereHull, row: int) -> dict[str, Any]:
+    columns = ("coverage", "volume_ratio", *(f"{name}_m" for name in LENGTHS))
+    return {name: float(getattr(hull, name)[row]) for name in columns} | {"volume_kind": hull.volume_kind[row]}
 
 
 def _robot_files(
@@ -296,7 +289,7 @@ def _mesh_files(subject: str, hull: SphereHull, unit: str | None, out: Path) -> 
         {"centre_m": centre, "radius_m": radius, "overshoot_m": overshoot}
         for centre, radius, overshoot in zip(hull.centre_m.tolist(), hull.radius_m.tolist(), hull.overshoot_m.tolist())
     ]
-    plain = {**_mesh_rows(hull)[0], "spheres": spheres}
+    plain = {**mesh_rows(hull)[0], "spheres": spheres}
     title = f"{len(hull.radius_m)} spheres"
     picture = hull_picture(mesh.vertices, mesh.faces, [(title, hull.centre_m, hull.radius_m)])
     return {

@@ -65,6 +65,22 @@ examples:
     command.set_defaults(run=run)
 
 
+def expanded(path: str | Path) -> Path:
+    """Return a path with the home folder that it begins with.
+
+    Raises:
+        InvalidInputError: If it is the home folder of somebody unknown.
+    """
+    from cellwright.errors import InvalidInputError
+
+    try:
+        return Path(path).expanduser()
+    except RuntimeError as error:
+        raise InvalidInputError(
+            f"{path} begins with the home folder of somebody unknown here: write the whole path"
+        ) from error
+
+
 def _numbers(text: str) -> list[int]:
     """Return numbers of spheres written with commas between them."""
     try:
@@ -91,31 +107,32 @@ def run(options: argparse.Namespace) -> int:
         name, equals, folder = text.partition("=")
         if not (name and equals and folder):
             raise InvalidInputError(f"--package {text}: write NAME=FOLDER")
-        packages[name] = Path(folder)
+        packages[name] = expanded(folder)
+    subject, out = str(expanded(options.subject)), None if options.out is None else expanded(options.out)
     if options.curve:
         with stage_progress(quiet=options.json) as (watcher, _):
             curve = spherize_curve.run(
-                options.subject,
+                subject,
                 options.curve,
                 unit=options.unit,
                 seed=options.seed,
                 lake=lake_of(options),
                 refresh=frozenset(options.refresh),
-                out=options.out,
+                out=out,
                 watcher=watcher,
             )
         print_summary(curve, as_json=options.json)
         return 0
     with stage_progress(quiet=options.json) as (watcher, _):
         summary = spherize.run(
-            options.subject,
+            subject,
             n_spheres=options.spheres,
             unit=options.unit,
             seed=options.seed,
             packages=packages,
             lake=lake_of(options),
             refresh=frozenset(options.refresh),
-            out=options.out,
+            out=out,
             watcher=watcher,
         )
     print_summary(summary, as_json=options.json)

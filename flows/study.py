@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import re
 import time
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cellwright.errors import InfeasibleError, SolverError
-from flows import layout_study, sequence_study
+from flows import layout_study, sequence_study, spherize_study
 from flows.examples import find_cell_file
 from flows.execution import REFRESHED, Watcher, open_lake
 from flows.result_folder import prepare_folder, write_files
@@ -23,6 +23,16 @@ from schemas.study_file import GridPoint, StudyFile, grid, load_study_file
 
 if TYPE_CHECKING:
     from rich.console import Console
+
+
+_MODULES: dict[str, Any] = {"layout": layout_study, "sequence": sequence_study, "spherize": spherize_study}
+"""What makes, shows and writes down the rows of a flow other than an inspection."""
+
+_PICTURES: dict[str, Callable[..., bytes]] = {
+    "from_above": layout_study.from_above,
+    "hulls": spherize_study.hulls_picture,
+}
+"""What draws a kind of figure of the runs' artefacts."""
 
 
 @dataclass(frozen=True)
@@ -46,18 +56,17 @@ class StudyResult:
 
     def show(self, console: Console) -> None:
         """Print the table's main columns, what had no solution, and the paths."""
+        module = _MODULES.get(self.study.flow)
+        if module is not None:
+            module.show(self.study, self.rows, console)
+        else:
+            self._show_plans(console)
+        for name, path in self.files.items():
+            console.print(f"{name}: {path}", soft_wrap=True)
+
+    def _show_plans(self, console: Console) -> None:
         from rich.table import Table
 
-        if self.study.flow == "layout":
-            layout_study.show(self.study, self.rows, console)
-            for name, path in self.files.items():
-                console.print(f"{name}: {path}", soft_wrap=True)
-            return
-        if self.study.flow == "sequence":
-            sequence_study.show(self.study, self.rows, console)
-            for name, path in self.files.items():
-                console.print(f"{name}: {path}", soft_wrap=True)
-            return
         table = Table(title=self.study.name, title_justify="left")
         for axis in self.study.axes:
             table.add_column(axis)
@@ -82,8 +91,6 @@ class StudyResult:
             if row["error"]:
                 point = ", ".join(row[axis] for axis in self.study.axes)
                 console.print(f"No plan for {point}: {row['error']}", soft_wrap=True)
-        for name, path in self.files.items():
-            console.print(f"{name}: {path}", soft_wrap=True)
 
 
 def run(
@@ -105,6 +112,8 @@ def run(
         _check(study, cell, point)
     folder = out or Path(study_path.stem)
     prepare_folder(folder)
+    module = _MODULES.get(study.flow)
+    run_point = _row if module is None else module.row
     token = REFRESHED.set(set())  # what several runs share is refreshed once
     try:
         rows = []
@@ -112,7 +121,6 @@ def run(
             name = f"run {number} of {len(points)} ({', '.join(point.point.values())})"
             watcher.started(name)
             begun = time.monotonic()
-            run_point = _ROWS.get(study.flow, _row)
             rows.append(run_point(cell, point, lake, refresh, watcher, direct))
             if rows[-1]["error"]:
                 watcher.failed(name)
@@ -120,12 +128,8 @@ def run(
                 watcher.finished(name, cached=False, seconds=time.monotonic() - begun)
     finally:
         REFRESHED.reset(token)
-    attempts = [row.pop(layout_study.ATTEMPT, None) for row in rows]
-    return StudyResult(study, rows, _write(study, rows, folder, attempts, lake))
-
-
-_ROWS = {"layout": layout_study.row, "sequence": sequence_study.row}
-"""What makes a row, where it is no inspection."""
+    made = [row.pop(layout_study.ATTEMPT, None) or row.pop(spherize_study.TRIAL, None) for row in rows]
+    return StudyResult(study, rows, _write(study, rows, folder, made, lake))
 
 
 def _check(study: StudyFile, cell: Path, point: GridPoint) -> None:
@@ -133,7 +137,9 @@ def _check(study: StudyFile, cell: Path, point: GridPoint) -> None:
     from schemas.layout_file import load_layout_file
     from schemas.sequence_file import load_sequence_file
 
-    if study.flow == "sequence":
+    if study.flow == "spherize":
+        spherize_study.check(study, point)
+    elif study.flow == "sequence":
         load_sequence_file(cell, point.overrides)
     elif study.flow == "layout":
         load_layout_file(cell, point.overrides)
@@ -142,6 +148,8 @@ def _check(study: StudyFile, cell: Path, point: GridPoint) -> None:
 
 
 def _cell_file(study: StudyFile) -> Path:
+    if study.flow == "spherize":
+        return study.path  # its runs read settings alone, with paths beside the study
     beside = study.path.parent / study.cell
     return beside if beside.is_file() else find_cell_file(study.cell)
 
@@ -168,7 +176,7 @@ def _write(
     study: StudyFile,
     rows: list[dict[str, Any]],
     folder: Path,
-    attempts: Sequence[layout_study.Attempt | None],
+    made: Sequence[Any],
     lake: str,
 ) -> dict[str, Path]:
     import pyarrow as pa
@@ -181,22 +189,21 @@ def _write(
     pq.write_table(pa.table({name: [row.get(name) for row in rows] for name in columns}), table)
     names, contents = {"table": "table.parquet"}, {"table.parquet": table.getvalue().to_pybytes()}
     axes = {axis: list(points) for axis, points in study.axes.items()}
-    if study.flow == "layout":
+    module = _MODULES.get(study.flow)
+    if module is not None:
         names["summary"] = "summary.md"
-        contents["summary.md"] = layout_study.summary_page(study, rows).encode()
+        contents["summary.md"] = module.summary_page(study, rows).encode()
     if study.flow == "sequence":
-        names["summary"] = "summary.md"
-        contents["summary.md"] = sequence_study.summary_page(study, rows).encode()
         parts = sequence_study.parts_picture(study, rows)
         if parts is not None:
             names["weighted cost in parts"], contents["parts.png"] = "parts.png", parts
     for number, figure in enumerate(study.figures, 1):
         name = f"figure_{number}_{re.sub('[^a-z0-9_]+', '_', figure.y).strip('_')}.png"
         names[figure.title] = name
-        if figure.kind == "from_above":
-            name = f"figure_{number}_from_above.png"
+        if figure.kind in _PICTURES:
+            name = f"figure_{number}_{figure.kind}.png"
             names[figure.title] = name
-            contents[name] = layout_study.from_above(study, figure, rows, attempts, open_lake(lake))
+            contents[name] = _PICTURES[figure.kind](study, figure, rows, made, open_lake(lake))
             continue
         if figure.kind != "lines":
             contents[name] = layout_study.drawn(study, figure, rows)

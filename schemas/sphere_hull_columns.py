@@ -11,6 +11,10 @@ if TYPE_CHECKING:
     from cellwright.solvers.spheres.fitting import SphereFit
 
 
+LENGTHS = ("protrusion_mean", "protrusion_p95", "protrusion_max", "gap_mean", "gap_p95", "gap_max")
+"""Lengths of a hull's metrics; their columns end in ``_m``."""
+
+
 def hull_columns(names: Sequence[str], fits: Sequence[Sequence[SphereFit]]) -> dict[str, Any]:
     """Return the columns of bodies, spheres and trials.
 
@@ -21,9 +25,6 @@ def hull_columns(names: Sequence[str], fits: Sequence[Sequence[SphereFit]]) -> d
     there = [fit for fit in kept if fit]
     trials = [(row, place == 0, fit) for row, found in enumerate(fits) for place, fit in enumerate(found)]
     measured = [fit.metrics for _, _, fit in trials]
-    lengths = (
-        "protrusion_mean", "protrusion_p95", "protrusion_max", "gap_mean", "gap_p95", "gap_max"
-    )  # fmt: skip
     return {
         "body": tuple(names),
         "first_sphere": (np.cumsum(counts) - counts).astype(np.int32),
@@ -39,7 +40,7 @@ def hull_columns(names: Sequence[str], fits: Sequence[Sequence[SphereFit]]) -> d
         "trial_n_spheres": np.array([found.n_spheres for found in measured], np.int32),
         "trial_chosen": np.array([chosen for _, chosen, _ in trials]),
         "coverage": np.array([found.coverage for found in measured]),
-        **{f"{name}_m": np.array([getattr(found, name) for found in measured]) for name in lengths},
+        **{f"{name}_m": np.array([getattr(found, name) for found in measured]) for name in LENGTHS},
         "overshoot_max_m": np.array([found.overshoot for found in measured]),
         "volume_m3": np.array([found.volume for found in measured]),
         "volume_ratio": np.array([found.volume_ratio for found in measured]),

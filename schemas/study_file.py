@@ -21,6 +21,7 @@ from cellwright.errors import InvalidInputError, listed
 from schemas.cell_file_document import read_document
 from schemas.cell_file_fields import Section, WholeNumber
 from schemas.cell_file_messages import faults_of, refusal
+from schemas.hull_trial import HULL_METRICS
 from schemas.inspection_summary import METRICS
 from schemas.layout_summary import LAYOUT_METRICS
 from schemas.sequence_summary import SEQUENCE_METRICS
@@ -40,8 +41,11 @@ LAYOUT_COLUMNS = LAYOUT_METRICS | {"cpu_s", "attempt_cycle_s", "method", "error"
 SEQUENCE_COLUMNS = SEQUENCE_METRICS | {"planning_s", "cost_of", "stopped_by", "verified_by", "error"}
 """The same of a study of sequences."""
 
-_COLUMNS = {"inspect": COLUMNS, "layout": LAYOUT_COLUMNS, "sequence": SEQUENCE_COLUMNS}
-_SEED_SETTINGS = {"inspect": "planner.seed", "layout": "solver.seed", "sequence": "planner.seed"}
+HULL_COLUMNS = HULL_METRICS | {"surface_covered", "interior", "volume_kind", "error"}
+"""The same of a study of sphere hulls."""
+
+_COLUMNS = {"inspect": COLUMNS, "layout": LAYOUT_COLUMNS, "sequence": SEQUENCE_COLUMNS, "spherize": HULL_COLUMNS}
+_SEED_SETTINGS = {"inspect": "planner.seed", "layout": "solver.seed", "sequence": "planner.seed", "spherize": "seed"}
 SEED_AXIS = "seed"
 """The axis that `seeds` makes, over which figures take means and tables medians."""
 
@@ -50,14 +54,14 @@ class FigureSection(Section):
     """One picture: a metric over an axis, one line for each point of another axis, one panel for each of a third."""
 
     title: str = Field(description="Heading.")
-    kind: Literal["lines", "cloud", "best_of_n", "from_above"] = Field(
+    kind: Literal["lines", "cloud", "best_of_n", "from_above", "hulls"] = Field(
         default="lines",
         description="A column over an axis; every run as a point, one column against another; the best of n runs; "
-        "the layout of the middle run of every point.",
+        "the layout of the middle run of every point; meshes under their hulls.",
     )
     x: str = Field(
         description="Axis along the picture; with `cloud` a column, with `best_of_n` the axis of runs, with "
-        "`from_above` that of the layouts."
+        "`from_above` that of the layouts, with `hulls` that of the panels."
     )
     y: str = Field(description="Column of the study's table.")
     y_label: str = Field(default="", description="Label of the y axis; the column's name if left out.")
@@ -72,9 +76,13 @@ class StudyFile(Section):
 
     path: Path = Field(alias="__path__", exclude=True)
     version: Literal[1] = Field(alias="cellwright-study", description="Version of the study file: 1.")
-    flow: Literal["inspect", "layout", "sequence"] = Field(default="inspect", description="What is run at each point.")
+    flow: Literal["inspect", "layout", "sequence", "spherize"] = Field(
+        default="inspect", description="What is run at each point."
+    )
     name: str = Field(description="Name of the study.", min_length=1)
-    cell: str = Field(description="Cell file, relative to the study file, or the name of a built-in example.")
+    cell: str = Field(
+        default="", description="Cell file, relative to the study file, or the name of a built-in example."
+    )
     settings: Settings = Field(default={}, alias="set", description="Settings of all runs.")
     axes: dict[str, dict[str, Settings]] = Field(description="The grid: axis, point, settings.", min_length=1)
     seeds: WholeNumber | None = Field(
@@ -134,6 +142,10 @@ def _with_seeds(study: StudyFile) -> StudyFile:
 def _disagreements(study: StudyFile) -> Iterator[str]:
     """Find values that are sound by themselves but do not go together."""
     columns = _COLUMNS[study.flow]
+    if study.flow == "spherize" and study.cell:
+        yield f"cell: {study.cell} is read by no run of flow: spherize: name meshes by the setting `mesh`"
+    if study.flow != "spherize" and not study.cell:
+        yield "cell is missing: name the cell file, or a built-in example"
     if study.seeds is not None and list(study.axes[SEED_AXIS]) != [str(seed) for seed in range(study.seeds)]:
         yield f"axes.{SEED_AXIS} and seeds are both given: keep one"
     for axis, points in study.axes.items():
@@ -148,6 +160,8 @@ def _disagreements(study: StudyFile) -> Iterator[str]:
         named_axes = [("x", figure.x), ("lines", figure.lines), ("panels", figure.panels)]
         if figure.kind == "from_above" and study.flow != "layout":
             yield f"figure {figure.title!r} has kind: from_above, which draws layouts: use lines, or flow: layout"
+        if figure.kind == "hulls" and study.flow != "spherize":
+            yield f"figure {figure.title!r} has kind: hulls, which draws sphere hulls: use lines, or flow: spherize"
         if figure.kind == "cloud" and not _is_column(figure.x, columns):
             yield f"figure {figure.title!r} has x: {figure.x}, which is no column: {_nearest(figure.x, columns)}"
         for role, named in named_axes[1:] if figure.kind == "cloud" else named_axes:

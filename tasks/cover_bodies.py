@@ -1,12 +1,12 @@
 """Cover standing bodies with few spheres each: the hulls of stations and obstacles in a layout.
 
-Boxes, cylinders, capsules and mesh files alike; each hull is proven to hold its body. A box may be cut into cells
-instead, a sphere about each.
+Boxes, cylinders, capsules and mesh files alike; each hull is proven to hold its body, unless it is asked to be k-means'
+alone.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from pydantic import Field
@@ -35,11 +35,15 @@ class CoverParams(Params):
     """Which bodies are covered."""
 
     bodies: tuple[CoveredBody, ...] = Field(min_length=1, description="The bodies, each with its own name.")
-    n_starts: int = Field(default=4, ge=1, le=64, description="Starts that each fit chooses from.")
+    method: Literal["certified", "k-means"] = Field(
+        default="certified", description="Our fit with proofs, or k-means as in Baumgaertner 2025, section 3."
+    )
+    inflate: bool = Field(default=True, description="Whether k-means' spheres are grown until the proofs hold.")
+    n_starts: int = Field(default=4, ge=1, le=64, description="Starts that each certified fit chooses from.")
     seed: int = Field(default=0, ge=0, description="Seed of all random choices.")
 
 
-@stage(version=1)
+@stage(version=2)
 def cover_bodies(files: tuple[SourceFile, ...], *, params: CoverParams, progress: Progress = no_progress) -> SphereHull:
     """Fit the spheres; mesh files are found by their names.
 
@@ -53,7 +57,7 @@ def cover_bodies(files: tuple[SourceFile, ...], *, params: CoverParams, progress
 
     contents = {file.name: file.content for file in files}
     generators = np.random.default_rng(params.seed).spawn(len(params.bodies))
-    settings = FitSettings(n_starts=params.n_starts)
+    settings = FitSettings(params.method, params.n_starts, inflate=params.inflate)
 
     def fitted(rows: slice) -> SphereFit:
         wanted = params.bodies[rows.start]
@@ -69,7 +73,7 @@ def cover_bodies(files: tuple[SourceFile, ...], *, params: CoverParams, progress
         progress(len(fits) / len(params.bodies))
     nothing = np.empty((0, 2), np.int32)
     return SphereHull(
-        method="certified",
+        method=params.method,
         ignored_pair=nothing,
         ignored_reason=np.empty(0, np.int8),
         checked_pair=nothing,

@@ -56,7 +56,7 @@ class SphereParams(Params):
         return self
 
 
-@stage(version=1)
+@stage(version=2)
 def fit_spheres(
     cell: CellModel | None, mesh: PartMesh | None, *, params: SphereParams, progress: Progress = no_progress
 ) -> SphereHull:

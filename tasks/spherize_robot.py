@@ -16,6 +16,7 @@ from cellwright.errors import InvalidInputError
 from schemas.layout import RobotHull
 from schemas.params import Params
 from schemas.sources import SourceFile
+from schemas.sphere_hull_columns import LENGTHS
 from schemas.stage import Progress, no_progress, stage
 
 if TYPE_CHECKING:
@@ -33,7 +34,7 @@ class RobotHullParams(Params):
     seed: int = Field(default=0, ge=0, description="Seed of all random choices.")
 
 
-@stage(version=1)
+@stage(version=2)
 def spherize_robot(
     files: tuple[SourceFile, ...], *, params: RobotHullParams, progress: Progress = no_progress
 ) -> RobotHull:
@@ -97,10 +98,11 @@ def _columns(links: Sequence[LinkHull]) -> dict[str, Any]:
         "n_spheres": counts,
         "fitted": np.array([fit is not None for fit in fits]),
         "surface_covered": np.array([fit is None or fit.surface_covered for fit in fits]),
+        "interior": tuple("covered" if fit is None else fit.interior for fit in fits),
+        "volume_kind": tuple("enclosed" if fit is None else fit.volume_kind for fit in fits),
         "coverage": measured("coverage", 1.0),
         "volume_ratio": measured("volume_ratio", 1.0),
-        "protrusion_mean_m": measured("protrusion_mean", 0.0),
-        "protrusion_max_m": measured("protrusion_max", 0.0),
+        **{f"{name}_m": measured(name, 0.0) for name in LENGTHS},
         "overshoot_m": measured("overshoot", 0.0),
         "centre_m": np.concatenate([hull.centres for hull in links]),
         "radius_m": np.concatenate([hull.radii for hull in links]),

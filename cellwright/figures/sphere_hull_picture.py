@@ -24,8 +24,20 @@ _OPACITY = 0.62
 _PANEL_PIXELS = 520
 _RINGS = 24
 
+_PANEL, _TITLE = 3.4, 0.45
+"""Width of a panel and height of its title, in inches."""
+
 Spheres = tuple[FloatArray, FloatArray]
 """Centres (k, 3) and radii (k,) in m."""
+
+Hull = tuple[str, FloatArray, FloatArray]
+"""Title, centres (k, 3) and radii (k,) in m."""
+
+HullRow = tuple[str, FloatArray, Int32Array, Sequence[Hull]]
+"""Name, vertices (n, 3) in m and faces (m, 3) of a body, and its hulls."""
+
+Views = list[tuple[str, FloatArray]]
+"""Titles and pictures (height, width, 3)."""
 
 
 def hull_picture(
@@ -45,9 +57,23 @@ def hull_picture(
         hulls: Title, centres (k, 3) and radii (k,) in m of each hull.
         direction_deg: Azimuth and elevation of the view.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
+    views = _views(vertices, faces, hulls, direction_deg)
+    height, width = views[0][1].shape[:2]
+    n_columns = min(len(views), 4 if width < 1.3 * height else 3)
+    rows = [views[first : first + n_columns] for first in range(0, len(views), n_columns)]
+    return _sheet([("", row) for row in rows], "")
 
+
+def hull_rows_picture(
+    rows: Sequence[HullRow], *, title: str = "", direction_deg: tuple[float, float] = _DIRECTION_DEG
+) -> bytes:
+    """Render several bodies, each in a row under its hulls, as PNG bytes; else as `hull_picture`."""
+    views = [(name, _views(vertices, faces, hulls, direction_deg)) for name, vertices, faces, hulls in rows]
+    return _sheet(views, title)
+
+
+def _views(vertices: FloatArray, faces: Int32Array, hulls: Sequence[Hull], direction_deg: tuple[float, float]) -> Views:
+    """Return titles and colours (height, width, 3) of a body and of the body under each hull."""
     balls = [_triangles(centres, radii) for _, centres, radii in hulls]
     everything = np.concatenate([vertices, *(points for points, _, _ in balls)])
     way = (math.radians(direction_deg[0]), math.radians(direction_deg[1]))
@@ -55,19 +81,28 @@ def hull_picture(
     views = [("body", _body_view(camera, everything, vertices, faces, None))]
     for (title, centres, radii), ball in zip(hulls, balls):
         views.append((title, _hull_view(camera, everything, vertices, faces, (centres, radii), ball)))
-    height, width = views[0][1].shape[:2]
-    n_columns = min(len(views), 4 if width < 1.3 * height else 3)
-    n_rows = -(-len(views) // n_columns)
-    panel = 3.4
-    figure = Figure(
-        figsize=(panel * n_columns, n_rows * (panel * height / width + 0.35)), dpi=110, layout="constrained"
-    )
+    return views
+
+
+def _sheet(rows: Sequence[tuple[str, Views]], title: str) -> bytes:
+    """Draw rows of views, each with its name on the left, as PNG bytes."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    n_columns = max(len(views) for _, views in rows)
+    heights = [_PANEL * max(view.shape[0] / view.shape[1] for _, view in views) + _TITLE for _, views in rows]
+    size = (_PANEL * n_columns, sum(heights) + (_TITLE if title else 0.0))
+    figure = Figure(figsize=size, dpi=110, layout="constrained")
     FigureCanvasAgg(figure)
-    for place, (title, view) in enumerate(views):
-        axes = figure.add_subplot(n_rows, n_columns, place + 1)
-        axes.imshow(view)
-        axes.set_title(plain_text(title), fontsize=11)
-        axes.set_axis_off()
+    places = figure.add_gridspec(len(rows), n_columns, height_ratios=heights)
+    for row, (name, views) in enumerate(rows):
+        for column, (label, view) in enumerate(views):
+            axes = figure.add_subplot(places[row, column])
+            axes.imshow(view)
+            axes.set_title(plain_text(f"{name}\n{label}" if name and column == 0 else label), fontsize=11)
+            axes.set_axis_off()
+    if title:
+        figure.suptitle(plain_text(title))
     return png_bytes(figure)
 
 

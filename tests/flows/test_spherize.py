@@ -11,6 +11,10 @@ import pytest
 from cellwright.cell.urdf_tree import parse_urdf
 from flows import command_line
 
+METRICS = {"coverage", "interior", "volume_ratio", "overshoot_m"} | {
+    f"{what}_{how}_m" for what in ("protrusion", "gap") for how in ("mean", "p95", "max")
+}
+
 
 @pytest.fixture(scope="module")
 def lake(tmp_path_factory: pytest.TempPathFactory) -> str:
@@ -30,6 +34,7 @@ def test_a_robot_comes_out_as_a_urdf_of_spheres(tmp_path: Path, lake: str, capsy
     code, text, _ = said(capsys, *words)
     told = json.loads(text)
     assert code == 0 and all(row["surface_covered"] for row in told["bodies"])
+    assert METRICS <= told["bodies"][0].keys() == json.loads((tmp_path / "arm.json").read_text())["links"][0].keys()
     tree = parse_urdf(out.read_text())
     spheres = [shape for link in tree.links.values() for shape in link.iterfind("collision/geometry/sphere")]
     assert len(spheres) == sum(row["n_spheres"] for row in told["bodies"])
@@ -47,7 +52,9 @@ def test_a_mesh_comes_out_as_spheres_that_hold_it(
     box.export(tmp_path / "box.stl")
     out = tmp_path / "box.json"
     code, _, _ = said(capsys, "spherize", tmp_path / "box.stl", "--spheres", "3", "--lake", lake, "--out", out)
-    spheres = json.loads(out.read_text())["spheres"]
+    plain = json.loads(out.read_text())
+    spheres = plain["spheres"]
+    assert plain.keys() >= METRICS and plain["gap_max_m"] == 0.0 < plain["protrusion_p95_m"] < plain["protrusion_max_m"]
     centres, radii = np.array([s["centre_m"] for s in spheres]), np.array([s["radius_m"] for s in spheres])
     points = 1e-3 * box.sample(500, seed=0)
     assert code == 0 and len(spheres) == 3
@@ -81,6 +88,29 @@ def test_what_cannot_be_covered_is_named(
     monkeypatch.chdir(tmp_path)
     code, _, error = said(capsys, "spherize", *words, "--lake", lake)
     assert code == 2 and message in error and "Traceback" not in error
+
+
+def test_paths_may_begin_with_the_home_folder(
+    tmp_path: Path, lake: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import trimesh
+
+    monkeypatch.setenv("HOME", str(tmp_path))
+    trimesh.creation.box(extents=(120, 80, 60)).export(tmp_path / "box.stl")
+    code, _, error = said(capsys, "spherize", "~/box.stl", "--spheres", "1", "--lake", lake, "--out", "~/out.json")
+    assert code == 0 and not error.count("error:") and (tmp_path / "out.json").is_file()
+    code, _, error = said(capsys, "spherize", "~nobody-knows/box.stl", "--lake", lake)
+    assert code == 2 and "the home folder of somebody unknown here" in error
+
+
+def test_a_robot_whose_mesh_is_missing_hears_of_packages(
+    tmp_path: Path, lake: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    mesh = "<mesh filename='package://arm/meshes/a.stl'/>"
+    urdf = f"<robot name='r'><link name='a'><collision><geometry>{mesh}</geometry></collision></link></robot>"
+    (tmp_path / "r.urdf").write_text(urdf)
+    code, _, error = said(capsys, "spherize", tmp_path / "r.urdf", "--lake", lake)
+    assert code == 2 and "a.stl' was not found" in error and "--package NAME=FOLDER" in error
 
 
 BARE = "<robot name='bare'><link name='a'/><link name='b'/><joint name='j' type='fixed'><parent link='a'/><child link='b'/></joint></robot>"  # noqa: E501

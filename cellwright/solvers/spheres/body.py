@@ -22,6 +22,9 @@ _MOST_PIECES = 16
 """Meshes of more pieces are taken as they are: each piece is asked for on its own."""
 _FARTHEST = 1e6
 """A mesh further from its origin than so many times its size has lost its shape to rounding."""
+_MARGIN, _MOST_MARGIN = 1e-6, 1e-3
+"""Share of the diagonal, or of the furthest coordinate if that is more; single precision rounds at 6e-8 of it. Bodies
+more than a thousand diagonals from their origin lose more than hulls can be grown by for nothing."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,6 +41,7 @@ class SphereBody:
         core: Grid nodes well inside, (n, 3).
         volume: That the hull is measured by.
         volume_kind: What it is of: ``enclosed`` or ``convex``.
+        margin: Spheres hold the body with radii smaller by this: more than single precision rounds by.
     """
 
     middle: FloatArray
@@ -49,6 +53,7 @@ class SphereBody:
     core: FloatArray
     volume: float
     volume_kind: str
+    margin: float
 
     @property
     def encloses(self) -> bool:
@@ -115,6 +120,7 @@ def sphere_body(mesh: Mesh) -> SphereBody:
         grid.core(),
         enclosed.volume,
         enclosed.kind,
+        min(_MARGIN * max(1.0, float(np.abs([lowest, highest]).max()) / unit), _MOST_MARGIN),
     )
 
 

@@ -46,6 +46,8 @@ WHOLE = Schedule(500, (1e-2, 3e-4), (1e3, 1e7))
 """From any start."""
 POLISH = Schedule(150, (1e-3, 3e-4), (1e6, 1e7))
 """From a good place, when points were added to the cloud."""
+GROWTH = Schedule(300, (5e-3, 3e-4), (1e5, 1e7))
+"""From a hull of fewer spheres and small ones sown on its skin."""
 
 
 def directions(n: int) -> FloatArray:

@@ -15,6 +15,9 @@ from cellwright.cell.mesh_files import mesh_from_bytes
 from cellwright.cell.parametric_parts import box, plate_with_pocket
 from cellwright.cell.surface_sampling import sample_randomly
 from cellwright.errors import InfeasibleError, InvalidInputError
+from cellwright.solvers.spheres import fitting
+from cellwright.solvers.spheres.body import SphereBody
+from cellwright.solvers.spheres.certificate import prove_surface
 from cellwright.solvers.spheres.fitting import FitSettings, SphereFit, fit_spheres
 from cellwright.solvers.spheres.metrics import union_gaps
 from cellwright.solvers.spheres.robots import fit_many
@@ -115,8 +118,26 @@ def test_broken_meshes_are_held_too(broken: str) -> None:
     assert fit.metrics.volume_ratio < (60 if broken == "open sheet" else 3)
 
 
-@pytest.mark.parametrize("path", PARTS, ids=lambda path: path.name)
-def test_every_public_part_is_held(path: Path) -> None:
+@pytest.mark.parametrize(("offset", "n_spheres"), [(0.0, 8), (5.0, 8), (50.0, 2), (50.0, 8), (500.0, 1)])
+def test_a_hull_stays_proven_in_single_precision_far_from_the_origin(offset: float, n_spheres: int) -> None:
+    near = box((0.1, 0.08, 0.06))
+    mesh = Mesh(near.vertices + offset * np.array([1.0, -1.0, 1.0 / 3.0]), near.faces)
+    fit = fitted(mesh, n_spheres)
+    centres, radii = fit.centres.astype(np.float32).astype(float), fit.radii.astype(np.float32).astype(float)
+    assert prove_surface(mesh.vertices[mesh.faces], centres, radii, leaf=5e-5, margin=0.0).covered
+    assert fit.margin < 2e-3 * np.linalg.norm([0.1, 0.08, 0.06])
+
+
+def test_twice_the_spheres_do_not_cost_a_plump_body_more_volume() -> None:
+    mesh = mesh_of(trimesh.creation.cylinder(0.05, 0.1, sections=24))
+    few, many = (fitted(mesh, n, FitSettings(n_starts=2, n_points=1500)).metrics.volume_ratio for n in (5, 10))
+    assert many <= few
+
+
+@pytest.mark.parametrize("path", PARTS or [None], ids=lambda path: path.name if path else "no data")
+def test_every_public_part_is_held(path: Path | None) -> None:
+    if path is None:
+        pytest.skip("the shared parts are not there")
     mesh = mesh_from_bytes(path.name, path.read_bytes())
     fit = fitted(mesh, 12, FitSettings(n_starts=1, n_points=1000))
     assert_holds(fit, mesh)
@@ -144,6 +165,21 @@ def test_a_tolerance_is_kept_with_few_spheres() -> None:
     assert fits[0].metrics.overshoot <= 0.05
     assert fits[1].metrics.overshoot <= 0.025
     assert len(fits[0].radii) < len(fits[1].radii) < 120
+
+
+def test_the_number_for_a_tolerance_is_fitted_with_all_starts(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[tuple[int, int]] = []
+    fit = fitting.fit_to_body
+
+    def noted(body: SphereBody, n_spheres: int, generator: np.random.Generator, settings: FitSettings) -> SphereFit:
+        asked.append((n_spheres, settings.n_starts))
+        return fit(body, n_spheres, generator, settings)
+
+    monkeypatch.setattr(fitting, "fit_to_body", noted)
+    settings = FitSettings(n_starts=5, n_points=1500)
+    found = fit_spheres(box((0.3, 0.1, 0.1)), tolerance=0.04, generator=np.random.default_rng(0), settings=settings)
+    assert found.metrics.overshoot <= 0.04
+    assert asked[-1] == (len(found.radii), 5) and {n for _, n in asked[:-1]} == {2}
 
 
 def test_an_impossible_tolerance_says_how_close_it_came(monkeypatch: pytest.MonkeyPatch) -> None:
