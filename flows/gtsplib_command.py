@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from cellwright.solvers.gtsp.problem import SequencingResult
 
 UNLIMITED_ROUNDS = 10**9
+STOPS = {"stop": "the time limit", "work": "the limit of work", "memory": "the limit of memory"}
+"""What ended the search, in words."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +53,8 @@ class SolvedFile:
     def show(self, console: Console) -> None:
         """Print cost, bound and tour."""
         result = self.result
-        proof = "proven cheapest" if result.proven else f"gap {result.gap:.2%}, stopped by {result.stopped_by}"
+        stopped = STOPS.get(result.stopped_by, result.stopped_by)
+        proof = "proven cheapest" if result.proven else f"gap {result.gap:.2%}, stopped by {stopped}"
         console.print(f"{self.file.name}: cost {result.cost:g}, lower bound {result.lower_bound:g} ({proof})")
         console.print(f"found in {self.seconds:.1f} s")
         console.print(f"tour: {' '.join(str(int(node) + 1) for node in result.nodes)}", soft_wrap=True)
@@ -75,7 +78,7 @@ def solve_file(options: argparse.Namespace) -> int:
         raise InvalidInputError("--set lays settings over a sequence file, and a GTSPLIB file has none: leave it out")
     limit, seed = options.time_limit, 0 if options.seed is None else options.seed
     if limit is not None and not (limit > 0.0 and math.isfinite(limit)):
-        raise InvalidInputError(f"--time-limit {limit:g}: give seconds above 0")
+        raise InvalidInputError(f"--time-limit {limit:g}: give seconds above 0, a finite number, or leave it out")
     if seed < 0:
         raise InvalidInputError(f"--seed {seed}: give a whole number of at least 0")
     use_own_caches()
@@ -86,6 +89,8 @@ def solve_file(options: argparse.Namespace) -> int:
     if options.out is not None and options.out.is_dir():
         raise InvalidInputError(f"--out {options.out} is a folder: name the file that the tour is written to")
     if options.out is not None:
+        if options.out.exists() and options.out.samefile(path):
+            raise InvalidInputError(f"--out {options.out} is the GTSPLIB file itself: name another file for the tour")
         prepare_folder(options.out.parent)
     begun = time.monotonic()
     result = solve_sequence(

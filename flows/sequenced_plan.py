@@ -11,7 +11,9 @@ from flows.placed_plan import PlacedPlan, Prepared, scanned, verified
 from flows.requests import InspectionRequest
 from flows.runner import Step, Steps
 from flows.selection_rounds import Choice
+from schemas.payload import PayloadParams
 from storage.lake import Lake
+from tasks.sequence_sweeps import SweepSequenceParams
 
 SEQUENCED = "sequenced"
 """Label of the steps that execute the new sequence."""
@@ -51,10 +53,20 @@ def sequenced_plan(
     choice = Choice(connected.selection, plan.measurable)
     new = connected._replace(trajectory=trajectory)
     again = scanned(step, prepared, standing, choice, new, label=SEQUENCED)
-    sequenced = replace(plan, connected=new, scan=again.scan, coverage=again.coverage)
+    standing = replace(standing, request=_with_torques(standing.request, request.sequencing))
+    sequenced = replace(plan, standing=standing, connected=new, scan=again.scan, coverage=again.coverage)
     try:
         return verified(step, prepared, sequenced, label=SEQUENCED), sequence
     except UnsafePlanError as error:
         step.forgive(error)
         step.note(f"the stitched plan stays: a cheaper sequence of its sweeps fails its verification: {error}")
         return plan, None
+
+
+def _with_torques(request: InspectionRequest, sequencing: SweepSequenceParams) -> InspectionRequest:
+    """Return a request whose verification looks at torques too, if they are what the sequence was chosen by."""
+    if sequencing.cost != "optimal_control":
+        return request
+    payload = PayloadParams(mass_kg=sequencing.payload_kg, centre_m=sequencing.payload_centre_m)
+    verification = request.verification.model_copy(update={"by_torque": True, "payload": payload})
+    return request.model_copy(update={"verification": verification})

@@ -42,10 +42,7 @@ from schemas.cell_file_messages import faults_of, refusal
 from schemas.cell_file_robot import robot_faults
 from schemas.poses import Pose
 from schemas.task_order import order_faults
-
-MOST_TASKS = 2000
-"""More than the search can order to some purpose."""
-MOST_ROTATIONS = 360
+from schemas.tasks import MOST_ROTATIONS, MOST_TASKS
 
 Dwell = Annotated[float, Quantity(quantities.TIME, least=0.0, most=3600.0)]
 Mass = Annotated[float, Quantity(quantities.MASS, least=0.0, most=1e4)]

@@ -23,6 +23,10 @@ SEQUENCE_METRICS = frozenset(
         "cost",
         "lower_bound",
         "gap",
+        "likely_bound",
+        "likely_gap",
+        "least_ratio",
+        "motions_guessed",
         "motions_planned",
         "motions_possible",
         "duration_s",
@@ -57,7 +61,7 @@ def summarise_sequence(
     motion = np.array([kind == MOTION for kind in sequence.kind], bool)
     dwell = float((sequence.leave_s - sequence.arrive_s).sum())
     per_task = np.bincount(alternatives.task, minlength=len(tasks.name))
-    gap = 0.0 if sequence.cost <= 0 else max(0.0, 1.0 - sequence.lower_bound / sequence.cost)
+    likely = sequence.likely_bound if math.isfinite(sequence.likely_bound) else None
     return {
         "tasks": len(tasks.name),
         "alternatives": len(alternatives.task),
@@ -67,7 +71,11 @@ def summarise_sequence(
         "unit": sequence.unit,
         "cost": sequence.cost,
         "lower_bound": sequence.lower_bound,
-        "gap": gap,
+        "gap": _gap(sequence.cost, sequence.lower_bound),
+        "likely_bound": likely,
+        "likely_gap": None if likely is None else _gap(sequence.cost, likely),
+        "least_ratio": None if likely is None else sequence.least_ratio,
+        "motions_guessed": sequence.n_guessed,
         "proven": sequence.proven,
         "stopped_by": sequence.stopped_by,
         "motions_planned": sequence.n_evaluated,
@@ -93,6 +101,10 @@ def summarise_sequence(
         "nearest_s": verification.nearest_s,
         **_weighted(sequence),
     }
+
+
+def _gap(cost: float, bound: float) -> float:
+    return 0.0 if cost <= 0 else max(0.0, 1.0 - bound / cost)
 
 
 def _weighted(sequence: TaskSequence) -> dict[str, Any]:
@@ -134,9 +146,16 @@ def distance_words(figures: dict[str, Any]) -> str:
 
 
 def bound_words(figures: dict[str, Any]) -> str:
-    """Say what is proven of the sequence."""
+    """Say what is proven of the sequence, and what is likely where guesses were measured."""
     unit = figures["unit"]
     bound = f"{figures['lower_bound']:.2f} {unit}".strip()
     if figures["proven"]:
         return f"{bound} (proven: none of these alternatives is cheaper)"
-    return f"{bound} (gap {figures['gap']:.1%}, stopped by {figures['stopped_by']})"
+    gap = f"(gap {figures['gap']:.1%}, stopped by {figures['stopped_by']})"
+    if figures.get("likely_bound") is None:
+        return f"{bound} {gap}"
+    likely = f"{figures['likely_bound']:.2f} {unit}".strip()
+    return (
+        f"{bound} proven {gap}; {likely} (gap {figures['likely_gap']:.1%}) if no motion is cheaper than "
+        f"{figures['least_ratio']:.2f} of its guess, as none of {figures['motions_guessed']:,} was"
+    )

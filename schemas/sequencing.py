@@ -10,6 +10,12 @@ from cellwright.arrays import BoolArray, FloatArray, Int8Array, Int32Array
 from schemas.artefact import Artefact
 from schemas.columns import ANY_WIDTH, blob, column, fact
 
+MOTION_COLUMNS = (
+    "time_s", "position_rad", "velocity_rad_s", "acceleration_rad_s2", "segment", "travel_m", "kind", "view", "branch",
+    "direction", "start_s", "end_s", "via",
+)  # fmt: skip
+"""What a sequence and a trajectory have in common."""
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SweepSequence(Artefact):
@@ -51,7 +57,7 @@ class SweepSequence(Artefact):
     is_taken: bool = fact("Whether the sequence is cheaper than the stitched plan", dtype="bool")
     reason: str = fact("What was found, in words", dtype="str")
     lower_bound: float = fact("No sequence over the motions found costs less")
-    proven: bool = fact("Whether the sequence is proven cheapest within the gap that was asked for", dtype="bool")
+    proven: bool = fact("Whether no sequence over the motions found is cheaper: that is proven", dtype="bool")
     n_evaluated: int = fact("Motions between sweeps that were found", dtype="int64")
     n_motions: int = fact("Motions that there are", dtype="int64")
     n_joined: int = fact("Motions of the sequence that join sweeps without a stop", dtype="int64")

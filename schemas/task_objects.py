@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from cellwright.solvers.pose_tasks.route import Route
 
 MOTION, WORK = "motion", "work"
+
+Mark = TypeVar("Mark")
 
 
 def pose_tasks(tasks: TaskList) -> list[PoseTask]:
@@ -77,6 +79,7 @@ def sequence_of(
     route: Route,
     alternatives: Sequence[Alternative],
     work: Sequence[TimedMotion | None],
+    dwells: Sequence[float],
     *,
     motions: PlannedMotions | None = None,
     arm: PricedArm | None = None,
@@ -87,6 +90,7 @@ def sequence_of(
         route: The route.
         alternatives: Its alternatives.
         work: The motion at each alternative of the route, by stop: strokes and dwell, ``None`` if there is none.
+        dwells: Time at each stop's task in s: strokes are what else there is of the work, half before and half after.
         motions: Motions between its nodes in place of its own.
         arm: The arm by which it is priced, if dynamics count.
 
@@ -102,8 +106,9 @@ def sequence_of(
     last = route.nodes[-1]
     for node in route.nodes:
         if node in place:
-            motion, stroke = work[place[node]], alternatives[node].stroke
-            moments.append((time + stroke, time + stroke + (0.0 if motion is None else motion.duration - 2.0 * stroke)))
+            motion, dwell = work[place[node]], dwells[place[node]]
+            stroke = 0.0 if motion is None else max(0.0, 0.5 * (motion.duration - dwell))
+            moments.append((time + stroke, time + (0.0 if motion is None else motion.duration - stroke)))
             if motion is not None:
                 pieces.append((WORK, place[node], "", motion))
                 time += motion.duration
@@ -144,7 +149,16 @@ def sequence_of(
         stopped_by=route.stopped_by,
         n_evaluated=route.n_evaluated,
         n_motions=route.n_motions,
+        **_likely(route),
     )  # fmt: skip
+
+
+def _likely(route: Route) -> dict[str, Any]:
+    """Return the facts of the bound that is likely, where the cost guesses; without them their defaults stand."""
+    if route.likely is None:
+        return {}
+    likely = route.likely
+    return {"likely_bound": likely.value, "least_ratio": likely.least_ratio, "n_guessed": likely.n_motions}
 
 
 def _prices(
@@ -155,11 +169,11 @@ def _prices(
     squares = np.zeros((len(motions), 2))
     holding = np.zeros(len(q_task))
     if arm is not None:
-        from cellwright.solvers.optimal_control.checked_motion import effort_of
+        from cellwright.solvers.optimal_control.measures import measure
 
-        efforts = [effort_of(arm.dynamics, arm.max_effort, motion) for motion in motions]
-        squares = np.array([(each.torque_squared, each.speed_squared) for each in efforts])
-        share = max(each.torque_share for each in efforts)
+        asked = [measure(arm.dynamics, arm.weights, arm.max_effort, motion) for motion in motions]
+        squares = np.array([(each.effort, each.speed_squared) for each in asked])
+        share = max(each.torque_share for each in asked)
         weights = (arm.weights.time, arm.weights.effort, arm.weights.velocity)
         holding = stays * np.sum(arm.dynamics.holding_torque(np.stack(q_task)) ** 2, axis=1)
     return {
@@ -220,12 +234,12 @@ def timed_plan(sequence: TaskSequence, segments: slice | None = None) -> TimedPl
     )
 
 
-def runs_of(sequence: TaskSequence) -> list[tuple[str, slice]]:
-    """Return the segments in runs of one kind."""
-    found: list[tuple[str, slice]] = []
-    for number, kind in enumerate(sequence.kind):
-        if found and found[-1][0] == kind:
-            found[-1] = (kind, slice(found[-1][1].start, number + 1))
+def runs_of(marks: Sequence[Mark]) -> list[tuple[Mark, slice]]:
+    """Return the segments in runs of one mark: their kinds, say."""
+    found: list[tuple[Mark, slice]] = []
+    for number, mark in enumerate(marks):
+        if found and found[-1][0] == mark:
+            found[-1] = (mark, slice(found[-1][1].start, number + 1))
         else:
-            found.append((kind, slice(number, number + 1)))
+            found.append((mark, slice(number, number + 1)))
     return found

@@ -34,8 +34,14 @@ def order_faults(tasks: Sequence[tuple[str, Sequence[str]]]) -> list[tuple[int, 
     return faults
 
 
-def task_order(tasks: Sequence[tuple[str, Sequence[str]]]) -> list[tuple[int, int]]:
+def task_order(
+    tasks: Sequence[tuple[str, Sequence[str]]], places: Sequence[str] | None = None
+) -> list[tuple[int, int]]:
     """Return the pairs (i, j) of tasks, i somewhere before j.
+
+    Args:
+        tasks: As for `order_faults`.
+        places: Where each task is written, for messages.
 
     Raises:
         InvalidInputError: If names are not unique or unknown, or they contradict themselves.
@@ -43,7 +49,8 @@ def task_order(tasks: Sequence[tuple[str, Sequence[str]]]) -> list[tuple[int, in
     faults = order_faults(tasks)
     if faults:
         row, field, words = faults[0]
-        raise InvalidInputError(f"task {row + 1} ({tasks[row][0]}), {field}: {words}")
+        place = f"task {row + 1} ({tasks[row][0]})" if places is None else places[row]
+        raise InvalidInputError(f"{place}, {field}: {words}")
     rows = {name: row for row, (name, _) in enumerate(tasks)}
     return sorted((rows[other], row) for row, (_, after) in enumerate(tasks) for other in after)
 

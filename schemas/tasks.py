@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import ClassVar
 
 from cellwright.arrays import FloatArray, Int8Array, Int32Array
 from schemas.artefact import Artefact
 from schemas.columns import ANY_WIDTH, blob, column, fact
+
+MOST_TASKS = 2000
+"""More than the search can order to some purpose."""
+MOST_ROTATIONS = 360
+"""Turns about the tool's axis that may be tried of a task."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -91,6 +97,15 @@ class TaskSequence(Artefact):
     weight_effort: float = fact("What squared torques cost", unit="1/(N^2 m^2 s)")
     weight_velocity: float = fact("What squared speeds cost", unit="s/rad^2")
     torque_share: float = fact("Largest torque as a share of its limit where dynamics count, else 0")
+    likely_bound: float = fact(
+        "No sequence costs less if no motion is cheaper than ``least_ratio`` of its guess; not a number where the cost "
+        "does not guess",
+        default=math.nan,
+    )
+    least_ratio: float = fact(
+        "Least true cost over guess of the motions planned, rounded down to hundredths", default=math.nan
+    )
+    n_guessed: int = fact("Motions planned that were guessed at before", dtype="int64", default=0)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -11,9 +11,10 @@ from schemas.params import Params
 from schemas.poses import Pose
 from schemas.sources import SourceFile
 from schemas.stage import stage
-from schemas.tasks import TaskList
+from schemas.tasks import MOST_ROTATIONS, MOST_TASKS, TaskList
 
-MOST_ROTATIONS = 360
+FARTHEST = 1000.0
+"""Metres from the frame of the tasks: beyond stands no task of an arm, but a wrong unit."""
 
 
 class TaskParams(Params):
@@ -46,7 +47,7 @@ class TaskListParams(Params):
     approach_m: float = Field(default=0.0, ge=0, description="Way along the tool's axis.")
 
 
-@stage(version=1)
+@stage(version=2)
 def list_tasks(source: SourceFile | None, *, params: TaskListParams) -> TaskList:
     """List all tasks, those of the table ``source`` behind the written ones.
 
@@ -62,7 +63,9 @@ def list_tasks(source: SourceFile | None, *, params: TaskListParams) -> TaskList
     from schemas.task_order import task_order
 
     rows = list(params.tasks)
+    places = [f"task {number} ({row.name})" for number, row in enumerate(rows, 1)]
     if source is not None:
+        table = read_task_table(source.name, source.content)
         rows += [
             TaskParams(
                 name=row.name,
@@ -71,14 +74,22 @@ def list_tasks(source: SourceFile | None, *, params: TaskListParams) -> TaskList
                 dwell_s=row.dwell,
                 after=row.after,
             )
-            for row in read_task_table(source.name, source.content)
+            for row in table
         ]
+        places += [f"{source.name}, line {row.line}" for row in table]
     if not rows:
         raise InvalidInputError("there are no tasks: write at least one, or name a table of them")
+    if len(rows) > MOST_TASKS:
+        raise InvalidInputError(f"there are {len(rows)} tasks, but at most {MOST_TASKS} can be ordered: split them")
     T_world_tasks = params.T_world_tasks.matrix()
     T_world_tool = []
-    for row in rows:
+    for row, place in zip(rows, places, strict=True):
         position = np.array(row.position_m)
+        if float(np.abs(position).max()) > FARTHEST:
+            raise InvalidInputError(
+                f"{place}: task {row.name!r} is {float(np.abs(position).max()):.3g} m away: correct it, or the unit of "
+                "the table"
+            )
         if row.direction is not None and math.hypot(*row.direction) > 1e-9:
             T = facing(position, np.array(row.direction))
         elif row.quaternion is not None:
@@ -96,5 +107,5 @@ def list_tasks(source: SourceFile | None, *, params: TaskListParams) -> TaskList
         n_rotations=np.array(rotations, np.int32),
         dwell_s=np.array([params.dwell_s if row.dwell_s is None else row.dwell_s for row in rows]),
         approach_m=np.array([params.approach_m if row.approach_m is None else row.approach_m for row in rows]),
-        before=np.array(task_order([(row.name, row.after) for row in rows]), np.int32).reshape(-1, 2),
+        before=np.array(task_order([(row.name, row.after) for row in rows], places), np.int32).reshape(-1, 2),
     )

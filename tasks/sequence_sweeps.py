@@ -19,11 +19,11 @@ from schemas.motion import Trajectory
 from schemas.params import Params
 from schemas.part import PartMesh
 from schemas.poses import Pose
-from schemas.sequencing import SweepSequence
+from schemas.sequencing import MOTION_COLUMNS, SweepSequence
 from schemas.sources import CellModel
 from schemas.stage import Progress, no_progress, stage
+from schemas.sweep_params import StitchParams
 from schemas.views import Reachability, Viewpoints, ViewSelection
-from tasks.stitch_sweeps import StitchParams
 
 if TYPE_CHECKING:
     from cellwright.cell.cell import Cell
@@ -51,14 +51,16 @@ class SweepSequenceParams(Params):
         default=(0.0, 0.0, 0.0), description="Its centre, on the flange."
     )
     n_steps: int = Field(default=16, ge=4, le=200, description="Steps of a motion.")
-    max_motions: int = Field(default=60, ge=1, description="Motions found at most.")
+    max_motions: int = Field(
+        default=60, ge=1, description="Motions found at most, but for those of the first sequence."
+    )
     target_gap: float = Field(default=0.002, ge=0, lt=1, description="Share that may be missing to the proof.")
     stitching: StitchParams = Field(
         default=StitchParams(), description="How paths are found; as the plan was stitched."
     )
 
 
-@stage(version=1)
+@stage(version=2)
 def sequence_sweeps(
     cell: CellModel,
     mesh: PartMesh,
@@ -231,7 +233,7 @@ def _result(
         is_taken=taken,
         reason=_reason(found, reason, taken, params),
         lower_bound=math.nan if found is None else found.lower_bound,
-        proven=found is not None and found.stopped_by in ("proof", "gap"),
+        proven=found is not None and found.proven,
         n_evaluated=0 if found is None else found.n_evaluated,
         n_motions=0 if found is None else found.n_motions,
         n_joined=0 if found is None else found.n_joined,
@@ -273,13 +275,6 @@ def _motion_columns(found: SequencedSweeps | None, executed: ViewSelection, traj
     plan = StitchedPlan(segments, {"": 0.0}, "", 0.0, False, (), n_joints)
     made = trajectory_of(plan, executed)
     return {name: getattr(made, name) for name in MOTION_COLUMNS}
-
-
-MOTION_COLUMNS = (
-    "time_s", "position_rad", "velocity_rad_s", "acceleration_rad_s2", "segment", "travel_m", "kind", "view", "branch",
-    "direction", "start_s", "end_s", "via",
-)  # fmt: skip
-"""What a sequence and a trajectory have in common."""
 
 
 def _picture(arm: ControlledArm, trajectory: Trajectory, motion: dict[str, Any], name: str) -> bytes:

@@ -90,7 +90,7 @@ class SequenceParams(Params):
         return self.dynamics is not None or self.optimal_motions
 
 
-@stage(version=2)
+@stage(version=3)
 def sequence_tasks(
     cell: CellModel,
     tasks: TaskList,
@@ -110,7 +110,7 @@ def sequence_tasks(
     import numpy as np
 
     from cellwright.cell.scene import Scene
-    from cellwright.solvers.pose_tasks.motion_costs import VelocityTimes
+    from cellwright.solvers.motion_cost import VelocityCost
     from cellwright.solvers.pose_tasks.route import RouteRules, RouteWork, find_route
     from schemas.cell_objects import build_cell
     from schemas.task_objects import alternatives_of, pose_tasks, sequence_of
@@ -135,7 +135,7 @@ def sequence_tasks(
         strokes = [None if each.stroke is None else each.stroke.motion for each in worked]
         if params.cost == "optimal_control":
             stroke_costs = [0.0 if each.stroke is None else each.stroke.cost for each in worked]
-    cost: MotionCost = planned if params.cost == "time" else VelocityTimes(planned)
+    cost: MotionCost = planned if params.cost == "time" else VelocityCost(planned.limits.velocity, planned)
     if dynamic is not None and params.cost == "optimal_control":
         cost = dynamic.cost
     route = find_route(
@@ -154,7 +154,8 @@ def sequence_tasks(
         motions = dynamic.along(route)
     work = _work(built, listed_tasks, ways, route, strokes, params.sample_s)
     progress(1.0)
-    found = sequence_of(route, ways, work, motions=motions, arm=None if dynamic is None else dynamic.arm)
+    dwells = [listed_tasks[ways[stop].task].dwell for stop in route.stops]
+    found = sequence_of(route, ways, work, dwells, motions=motions, arm=None if dynamic is None else dynamic.arm)
     return replace(found, alternative=np.array(rows, np.int32)[found.alternative])
 
 
@@ -242,17 +243,19 @@ class _Dynamic:
         weights = CostWeights(own.time_per_s, own.effort, own.velocity)
         dynamics = dynamics_of(cell, None if own.payload is None else own.payload.payload())
         settings = DynamicSettings(weights, own.n_steps, params.confirm_step_m, params.sample_s)
-        self._cell, self._sample = cell, params.sample_s
+        self._cell, self._sample, self._end = cell, params.sample_s, params.end_rad
         self.arm: PricedArm = PricedArm(dynamics, effort_limits(dynamics, None), weights)
         self.cost = optimal_control_cost(cell, scene, planned, dynamics, settings)
 
     def worked(self, tasks: Sequence[PoseTask], ways: Sequence[Alternative]) -> list[WorkedWay]:
-        """Return the alternatives that torques allow; the start has to be held as well."""
+        """Return the alternatives that torques allow; the start and a given end have to be held as well."""
         import numpy as np
 
         from cellwright.solvers.pose_tasks.dynamic_costs import worked_ways
 
         self.arm.dynamics.check_holds(np.array(self._cell.start), self.arm.max_effort, "the start")
+        if self._end is not None:
+            self.arm.dynamics.check_holds(np.array(self._end), self.arm.max_effort, "the end")
         return worked_ways(self._cell, tasks, ways, self.cost, self.arm.max_effort, self._sample)
 
     def along(self, route: Route) -> PlannedMotions:

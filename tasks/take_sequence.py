@@ -6,9 +6,8 @@ from dataclasses import replace
 
 from schemas.motion import Trajectory
 from schemas.params import Params
-from schemas.sequencing import SweepSequence
+from schemas.sequencing import MOTION_COLUMNS, SweepSequence
 from schemas.stage import stage
-from tasks.sequence_sweeps import MOTION_COLUMNS
 
 
 class TakenSequenceParams(Params):

@@ -4,6 +4,7 @@ Independent of the planner: another collision engine (FCL on trimesh bodies), it
 motion itself instead of what the planner thought it was. Steps are so small that no point of the robot moves
 further than ``step_m`` and no joint turns more than ``step_rad`` between two checked states; that nothing touches
 between them either is proven by distances, and the least distance of the whole motion is bounded from below.
+Plans that were sequenced by dynamics are checked against torque limits too.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from pydantic import Field
 from schemas.motion import Trajectory, Verification
 from schemas.params import Params
 from schemas.part import PartMesh
+from schemas.payload import PayloadParams
 from schemas.poses import Pose
 from schemas.sources import CellModel
 from schemas.stage import Progress, no_progress, stage
@@ -28,6 +30,8 @@ class VerifyParams(Params):
     scan_speed_m_s: float = Field(default=0.1, gt=0, description="Speed that the scanner may have on a sweep.")
     tool_acceleration_m_s2: float = Field(default=1.0, gt=0, description="Acceleration that the scanner may have.")
     return_to_start: bool = Field(default=False, description="Whether the plan must end where it starts.")
+    by_torque: bool = Field(default=False, description="Whether torques are checked as well.")
+    payload: PayloadParams | None = Field(default=None, description="What the arm carries, where torques are checked.")
     step_m: float = Field(default=1e-3, gt=0, le=1e-3, description="Furthest motion of any point between states.")
     step_rad: float = Field(default=math.radians(0.1), gt=0, le=math.radians(0.1) * (1 + 1e-9))
     position_tolerance_m: float = Field(default=2e-4, gt=0, description="Scanner off its planned sweep.")
@@ -54,10 +58,12 @@ def verify_plan(
 
     Raises:
         InfeasibleError: If any check fails; it names the check, the time, the bodies and the amount.
-        InvalidInputError: If the artefacts do not belong together.
+        InvalidInputError: If the artefacts do not belong together, or torques are asked for and the URDF states no
+            masses or torque limits.
     """
     from cellwright.cell.verification_scene import VerificationScene
     from cellwright.solvers import plan_verification as verification
+    from cellwright.solvers.torque_verification import check_torques
     from schemas.cell_objects import build_cell
     from schemas.plan_objects import executed_views, planned_sweeps, timed_plan, verification_of
 
@@ -75,6 +81,9 @@ def verify_plan(
     checks = verification.check_order(plan)
     verification.require(checks)
     checks += verification.check_limits(plan, built, tolerances, returns=params.return_to_start)
+    if params.by_torque:
+        payload = None if params.payload is None else params.payload.payload()
+        checks.append(check_torques(plan, built, payload, tolerances))
     checks += verification.check_sweeps(
         plan,
         built,

@@ -46,7 +46,7 @@ def sequence_template_digest() -> str:
     return hashlib.sha256(f"{_template()}\n{json.dumps(drawn_by, sort_keys=True)}".encode()).hexdigest()
 
 
-@stage(version=2)
+@stage(version=3)
 def write_sequence_report(
     cell: CellModel,
     tasks: TaskList,

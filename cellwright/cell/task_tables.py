@@ -22,11 +22,13 @@ DATASET = "targets"
 _NUMBERS = ("x", "y", "z", "dx", "dy", "dz")
 _COLUMNS = (*_NUMBERS, "name", "dwell_s", "after")
 _MOST_ROWS = 100_000
+_LONGEST = 1e100
+"""A direction longer than this is shortened as it is read."""
 
 
 @dataclass(frozen=True)
 class TaskRow:
-    """One task of a table; lengths in the table's unit, ``metres`` if the table has one of its own (HDF5: m)."""
+    """One task of a table and its line; lengths in the table's unit, ``metres`` if it has one of its own (HDF5: m)."""
 
     name: str
     place: tuple[float, float, float]
@@ -34,6 +36,7 @@ class TaskRow:
     dwell: float | None = None
     after: tuple[str, ...] = ()
     metres: float | None = None
+    line: int = 0
 
     def position(self, metres_per_unit: float) -> tuple[float, float, float]:
         """Return the position in m; ``metres_per_unit`` is what a table without a unit of its own is read in."""
@@ -97,6 +100,9 @@ def _row(
     file: str, line: int, numbers: Sequence[str | float], given: dict[str, str], metres: float | None, count: int = 0
 ) -> TaskRow:
     x, y, z, dx, dy, dz = (_number(file, line, word, value) for word, value in zip(_NUMBERS, numbers))
+    longest = max(abs(dx), abs(dy), abs(dz))
+    if longest > _LONGEST:  # its square would be too large for a number
+        dx, dy, dz = dx / longest, dy / longest, dz / longest
     if math.hypot(dx, dy, dz) < 1e-9:
         raise InvalidInputError(f"{file}, line {line}: the direction (dx, dy, dz) has no length: give one")
     dwell = _number(file, line, "dwell_s", given["dwell_s"]) if given.get("dwell_s") else None
@@ -104,7 +110,7 @@ def _row(
         raise InvalidInputError(f"{file}, line {line}, dwell_s: {dwell:g} is negative: write a time of at least 0")
     after = tuple(word.strip() for word in given.get("after", "").split(";") if word.strip())
     name = given.get("name") or str(count or line)
-    return TaskRow(name, (x, y, z), (dx, dy, dz), dwell, after, metres)
+    return TaskRow(name, (x, y, z), (dx, dy, dz), dwell, after, metres, line)
 
 
 def _number(file: str, line: int, column: str, value: str | float) -> float:

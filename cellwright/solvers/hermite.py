@@ -30,6 +30,22 @@ def states_at(
     )
 
 
+def interval_states(
+    time: FloatArray, position: FloatArray, velocity: FloatArray, shares: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return positions, velocities and accelerations (intervals, shares, joints) at ``shares`` of every interval.
+
+    ``shares`` (shares,) lie in 0..1. Accelerations may jump where intervals meet: each interval has its own.
+    """
+    v0, b, c, durations = (each[:, None] for each in _quadratic(time, position, velocity))
+    h, u = durations[..., None], np.asarray(shares, float)[:, None]
+    return (
+        np.asarray(position[:-1, None] + h * u * (v0 + u * (b / 2.0 + u * c / 3.0))),
+        np.asarray(v0 + u * (b + u * c)),
+        np.asarray((b + 2.0 * u * c) / h),
+    )
+
+
 def position_extremes(time: FloatArray, position: FloatArray, velocity: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the least and the greatest position on each interval, both (intervals, joints)."""
     v0, b, c, h = _quadratic(time, position, velocity)

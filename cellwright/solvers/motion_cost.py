@@ -10,7 +10,7 @@ motion that was evaluated.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -81,13 +81,15 @@ class GuessedCost(MotionCost, Protocol):
 
 @dataclass(frozen=True, eq=False)
 class VelocityCost:
-    """The time that the slowest joint needs at full speed: no acceleration, no obstacles, its own bound.
+    """The time that the slowest joint needs at full speed: no acceleration, its own bound.
 
     Attributes:
         speed: Highest joint speeds, (joints,), rad/s or m/s.
+        planned: Plans the motions, only to know that there are any; without it nothing is in the way.
     """
 
     speed: FloatArray
+    planned: MotionCost | None = None
     name: str = "velocity bound"
     unit: str = "s"
     symmetric: bool = True
@@ -101,15 +103,18 @@ class VelocityCost:
         return np.full(np.shape(q)[:-1], float(dwell))
 
     def motion(self, q_a: FloatArray, q_b: FloatArray) -> CostedMotion | None:
-        """Return the straight motion at constant speed; it begins and ends with a jerk."""
+        """Return the planned motion; without a planner the straight one at constant speed, which ends with a jerk."""
         duration = float(self.bound(q_a, q_b))
+        if self.planned is not None:
+            found = self.planned.motion(q_a, q_b)
+            return None if found is None else replace(found, cost=duration)
         time = np.array([0.0, max(duration, 1e-9)])
         velocity = np.repeat([(q_b - q_a) / time[-1]], 2, axis=0)
         motion = TimedMotion(time, np.stack([q_a, q_b]), velocity, np.zeros_like(velocity))
         return CostedMotion(duration, motion, None, "velocity")
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class PathCost:
     """The duration of a collision-free path, timed under velocity and acceleration limits.
 
@@ -133,12 +138,17 @@ class PathCost:
         return np.full(np.shape(q)[:-1], float(dwell))
 
     def motion(self, q_a: FloatArray, q_b: FloatArray) -> CostedMotion | None:
-        """Return the confirmed connection, or None."""
+        """Return the confirmed connection, or None.
+
+        Limits hold within `cellwright.solvers.path_timing.LIMIT_TOLERANCE`, so a motion may seem to take less than
+        the bound by that share; then the bound stands.
+        """
         self.connections.confirm(q_a, q_b)
         found = self.connections.between(q_a, q_b)
         if found is None:
             return None
-        return CostedMotion(found.motion.duration, found.motion, None, found.via)
+        cost = max(found.motion.duration, float(self.bound(q_a, q_b)))
+        return CostedMotion(cost, found.motion, None, found.via)
 
 
 class PlannedMotions:

@@ -95,3 +95,10 @@ def test_a_place_that_cannot_be_written_is_named_before_the_search(
     path, _ = write_problem(tmp_path)
     assert command_line.main(["sequence", str(path), "--out", str(path / "tour.txt")]) == 2
     assert f"cannot write into {path}" in capsys.readouterr().err
+
+
+def test_the_problem_itself_is_not_overwritten(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path, _ = write_problem(tmp_path)
+    before = path.read_bytes()
+    code, told = run(capsys, str(path), "--out", str(path))
+    assert code == 2 and "is the GTSPLIB file itself" in told["error"] and path.read_bytes() == before

@@ -6,9 +6,10 @@ from typing import Any
 import pytest
 
 from cellwright.errors import InvalidInputError
-from flows import inspection
+from flows import inspection, sequenced_plan
 from flows.inspection_result import InspectionResult
-from flows.requests import request_of
+from flows.requests import InspectionRequest, request_of
+from schemas.payload import PayloadParams
 from storage.lake import Lake
 from tests.small_inspection import CELL, write_cell
 
@@ -62,6 +63,35 @@ def test_all_that_belongs_to_the_plan_is_of_the_sequence(sequenced: InspectionRe
     assert sequenced.refs["coverage"] == made["measure_coverage sequenced"]
     found: Any = Lake(lake_url).load(sequenced.refs["sequence"])
     assert found.duration_s[-1] == pytest.approx(sequenced.summary["duration_s"])
+
+
+def test_the_verification_of_the_sequence_looks_at_torques_with_the_payload(
+    sequenced: InspectionResult, stitched: InspectionResult, lake_url: str
+) -> None:
+    shares: list[float] = []
+    for result, expected in ((sequenced, 1), (stitched, 0)):
+        found: Any = Lake(lake_url).load(result.refs["verification"])
+        own = [share for name, share in zip(found.check, found.found, strict=True) if name == "joint torque"]
+        assert len(own) == expected
+        shares += own
+    told: Any = Lake(lake_url).load(sequenced.refs["sequence"])
+    assert shares == pytest.approx([told.torque_share[-1]], rel=0.02)  # looked at at other moments
+
+
+def test_a_sequence_that_fails_its_torques_leaves_the_stitched_plan_with_a_note(
+    cell: Path, stitched: InspectionResult, lake_url: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    heavier = PayloadParams(mass_kg=60.0, centre_m=(0.0, 0.0, 0.2))
+
+    def with_more(request: InspectionRequest, _: object) -> InspectionRequest:
+        verification = request.verification.model_copy(update={"by_torque": True, "payload": heavier})
+        return request.model_copy(update={"verification": verification})
+
+    monkeypatch.setattr(sequenced_plan, "_with_torques", with_more)
+    kept = inspection.run(cell, lake=lake_url, direct=True)
+    assert kept.refs["trajectory"] == stitched.refs["trajectory"]
+    assert kept.refs["verification"] == stitched.refs["verification"]
+    assert any("the stitched plan stays" in note and "joint torque is" in note for note in kept.notes)
 
 
 def test_a_second_run_computes_nothing(cell: Path, sequenced: InspectionResult, lake_url: str) -> None:

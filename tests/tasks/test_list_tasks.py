@@ -51,9 +51,11 @@ def test_a_task_with_a_whole_orientation_keeps_it():
         (b"x,y,z,dx,dy,dz\n1,2,three,0,0,1\n", "line 2, z: 'three' is not a number"),
         (b"x,y,z,dx,dy,dz\n1,2,3,0,0,0\n", "no length"),
         (b"x,y,z,dx,dy,dz\n", "holds no task"),
-        (b"name,x,y,z,dx,dy,dz\na,1,2,3,0,0,1\na,1,2,3,0,0,1\n", "names task 1 too"),
+        (b"name,x,y,z,dx,dy,dz\na,1,2,3,0,0,1\n\na,1,2,3,0,0,1\n", "line 4, name: 'a' names task 1 too"),
         (b"name,x,y,z,dx,dy,dz,after\na,1,2,3,0,0,1,b\nb,1,2,3,0,0,1,a\n", "contradicts itself: 'a' after 'b' after"),
-        (b"name,x,y,z,dx,dy,dz,after\nhole,1,2,3,0,0,1,hol\n", "did you mean hole"),
+        (b"name,x,y,z,dx,dy,dz,after\nhole,1,2,3,0,0,1,hol\n", "line 2, after: 'hol' is no task: did you mean hole"),
+        (b"x,y,z,dx,dy,dz\n1,-1e300,3,0,0,1\n", "line 2: task '1' is 1e+297 m away: correct it, or the unit"),
+        (b"x,y,z,dx,dy,dz\n" + 2001 * b"1,2,3,0,0,1\n", "are 2001 tasks, but at most 2000"),
         (b"\xff\xfe", "not text in UTF-8"),
     ],
 )
@@ -61,6 +63,14 @@ def test_a_malformed_table_is_named_with_its_line(content, words):
     with pytest.raises(InvalidInputError) as caught:
         list_tasks(table(content), params=TaskListParams())
     assert words in str(caught.value)
+
+
+def test_a_direction_may_be_of_any_length():
+    found = [
+        list_tasks(table(b"x,y,z,dx,dy,dz\n1,2,3,0,%s,%s\n" % (one, one)), params=TaskListParams())
+        for one in (b"1", b"1e300")
+    ]
+    assert np.allclose(found[0].T_world_tool, found[1].T_world_tool)
 
 
 def test_a_station_without_tasks_is_refused():

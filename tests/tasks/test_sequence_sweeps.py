@@ -13,8 +13,9 @@ from cellwright.errors import InfeasibleError, InvalidInputError
 from schemas.artefact import digest
 from schemas.motion import Trajectory
 from schemas.sequencing import SweepSequence, sequencing_figures
+from schemas.sweep_params import StitchParams
 from tasks.sequence_sweeps import SweepSequenceParams, sequence_sweeps
-from tasks.stitch_sweeps import StitchParams, stitch_sweeps
+from tasks.stitch_sweeps import stitch_sweeps
 from tasks.take_sequence import TakenSequenceParams, take_sequence
 from tasks.verify_plan import VerifyParams, verify_plan
 from tests.cellwright.solvers import scanning_cell

@@ -119,7 +119,7 @@ def test_a_single_task_without_motion_is_refused():
 def test_parts_of_the_plan_meet_in_one_state():
     plan = small.sequence()
     whole = timed_plan(plan)
-    parts = [timed_plan(plan, run) for _, run in runs_of(plan)]
+    parts = [timed_plan(plan, run) for _, run in runs_of(plan.kind)]
     assert sum(len(part.time) for part in parts) == len(whole.time) + len(parts) - 1
     for one, other in itertools.pairwise(parts):
         assert one.time[-1] == other.time[0] and np.array_equal(one.position[-1], other.position[0])
@@ -222,6 +222,40 @@ def test_optimal_motions_along_a_sequence_in_time_cost_less_than_its_own():
 def test_a_payload_that_the_arm_cannot_hold_is_named():
     with pytest.raises(InfeasibleError, match="limit"):
         dynamic(cost="optimal_control", dynamics=DynamicsParams(payload=PayloadParams(mass_kg=500.0)))
+
+
+def test_an_end_that_the_arm_cannot_hold_is_named():
+    """The start stands nearly upright and is held; the arm stretched out with the same payload is not."""
+    upright = (0.0, -1.5708, 0.0, -1.5708, 0.0, 0.0)
+    cell = replace(small.cell(), start_rad=np.array(upright))
+    params = small.request().sequence.model_copy(
+        update={
+            "dynamics": DynamicsParams(payload=PayloadParams(mass_kg=60.0)), "cost": "optimal_control",
+            "returns": False, "end_rad": (1.5708, -0.3, 0.1, 0.5, -1.3, 0.0),
+        }
+    )  # fmt: skip
+    with pytest.raises(InfeasibleError, match="the end"):
+        sequence_tasks(cell, small.task_list(), small.alternatives(), params=params)
+
+
+def test_a_cost_that_guesses_tells_what_is_likely():
+    _, plan = optimal()
+    assert plan.lower_bound <= plan.likely_bound <= plan.cost
+    assert plan.least_ratio > 0.0 and 12 <= plan.n_guessed <= plan.n_motions
+    timed = small.sequence()
+    assert np.isnan(timed.likely_bound) and np.isnan(timed.least_ratio) and timed.n_guessed == 0
+
+
+def test_the_tool_stays_as_long_as_it_has_to_however_densely_states_are_sampled():
+    """Strokes are timed anew with the sequence's own samples, so arrival is told by these, not by the alternatives'."""
+    plan = run(sample_s=0.02)
+    dwell = small.task_list().dwell_s[plan.task]
+    work = np.array([kind == "work" for kind in plan.kind])
+    assert np.allclose(plan.leave_s - plan.arrive_s, dwell, atol=1e-12)
+    assert np.allclose(plan.arrive_s - plan.start_s[work], plan.end_s[work] - plan.leave_s, atol=1e-9)
+    for arrive, leave in zip(plan.arrive_s, plan.leave_s):
+        still = plan.velocity_rad_s[(plan.time_s >= arrive - 1e-9) & (plan.time_s <= leave + 1e-9)]
+        assert len(still) >= 3 and np.abs(still).max() < 1e-9
 
 
 def test_sequences_in_time_are_not_priced_unless_dynamics_are_weighed():

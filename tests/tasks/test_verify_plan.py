@@ -13,6 +13,7 @@ from cellwright.cell.transforms import inverse, pose
 from cellwright.errors import InfeasibleError, InvalidInputError
 from schemas.artefact import digest
 from schemas.cell_objects import packed_bodies
+from schemas.payload import PayloadParams
 from schemas.views import Reachability
 from tasks.verify_plan import VerifyParams, verify_plan
 from tests.cellwright.solvers import scanning_cell
@@ -116,6 +117,17 @@ def test_the_result_is_the_one_of_this_version():
     for name in ("least_distance_m", "proven_distance_m"):
         facts[name] = round(getattr(proof, name), 5)
     check_golden(verify_plan, rounded(proof, 4, **facts))
+
+
+def test_torques_are_checked_with_the_payload_where_they_are_asked_for():
+    *given, trajectory = one_sweep()
+    checked = PARAMS.model_copy(update={"by_torque": True})
+    found = verify_plan(*given, trajectory, params=checked)
+    shares = dict(zip(found.check, found.found, strict=True))
+    assert 0.0 < shares["joint torque"] < 1.0
+    payload = PayloadParams(mass_kg=60.0, centre_m=(0.0, 0.0, 0.2))
+    with pytest.raises(InfeasibleError, match=r"joint torque is [\d.]+ of its limit .* in joint \d: carry less"):
+        verify_plan(*given, trajectory, params=checked.model_copy(update={"payload": payload}))
 
 
 def test_a_plan_through_an_obstacle_that_the_planner_did_not_know_is_an_error():

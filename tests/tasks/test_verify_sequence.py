@@ -53,6 +53,47 @@ def test_a_dwell_that_is_too_short_fails():
     fails("time missing at a task is 0.1", tasks=replace(small.task_list(), dwell_s=small.task_list().dwell_s + 0.1))
 
 
+def test_a_tool_that_leaves_its_task_between_the_moments_of_a_dwell_fails():
+    plan = small.sequence()
+    when = plan.arrive_s[0] + 0.3 * (plan.leave_s[0] - plan.arrive_s[0])
+    row = int(np.searchsorted(plan.time_s, when))
+    away = plan.position_rad[row] + np.array([0.0, 0.0, 0.0, 0.0, 0.01, 0.0])
+    states = {
+        "time_s": when, "position_rad": away, "velocity_rad_s": 0.0, "acceleration_rad_s2": 0.0,
+        "segment": plan.segment[row],
+    }  # fmt: skip
+    fails(
+        "tool off its task is 0.003",
+        sequence=replace(
+            plan, **{name: np.insert(getattr(plan, name), row, value, axis=0) for name, value in states.items()}
+        ),
+    )
+
+
+def test_moving_at_a_task_without_strokes_fails():
+    # what is called work may touch: nothing but strokes and dwell may be called so
+    fails("motion at a task outside its strokes", tasks=replace(small.task_list(), approach_m=np.zeros(4)))
+
+
+@pytest.mark.parametrize("stop", [-1, 0, 99])
+def test_a_motion_that_is_called_work_fails(stop):
+    plan = small.sequence()
+    moving = plan.kind.index("motion", 1)
+    kind, stops = list(plan.kind), plan.stop.copy()
+    kind[moving], stops[moving] = "work", stop
+    fails("segments called work of no stop of their own", sequence=replace(plan, kind=tuple(kind), stop=stops))
+
+
+def test_work_that_is_called_a_motion_is_no_stroke():
+    plan = small.sequence()
+    fails("stroke cut short", sequence=replace(plan, kind=("motion",) * len(plan.kind)))
+
+
+def test_a_stop_whose_times_are_out_of_order_fails():
+    plan = small.sequence()
+    fails("stop whose times are out of order", sequence=replace(plan, arrive_s=plan.arrive_s - 2.0))
+
+
 def test_a_stroke_that_is_too_short_fails():
     fails("stroke cut short is 0.01", tasks=replace(small.task_list(), approach_m=small.task_list().approach_m + 0.01))
 

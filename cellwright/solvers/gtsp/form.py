@@ -7,6 +7,7 @@ problems symmetric. So the solvers know one problem only.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,6 +18,10 @@ from cellwright.solvers.gtsp.problem import SequencingProblem, SequencingResult,
 
 SAME = 1e-9
 """Share of a cost below which differences are rounding."""
+EXACT = 1e-12
+"""The same where costs are whole numbers: bounds are sums of thousands of numbers, each rounded in its 16th digit."""
+MOST_EXACT = 2.0**38
+"""Whole-number costs of a sequence that surely stay below this are told apart: `EXACT` of it is well below 1."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,7 +34,7 @@ class TourForm:
         earlier: Whether the row's cluster must come before the column's, depot left out, (clusters, clusters).
         node: The problem's alternative, -1 for a depot that stands for nothing, (nodes,).
         missing: A tour that costs this much or more takes a way that does not exist.
-        integral: Whether all costs are whole numbers, so that bounds may be rounded up.
+        integral: Whether all costs are whole numbers, small enough to be told apart, so that bounds may be rounded up.
     """
 
     cost: FloatArray
@@ -56,7 +61,7 @@ class TourForm:
 
     def below(self, upper: float) -> float:
         """Return the value that a bound must reach to prove that nothing is cheaper than ``upper``."""
-        return upper - 1.0 + 1e-6 if self.integral else upper * (1.0 - SAME)
+        return upper - 1.0 + max(1e-6, EXACT * upper) if self.integral else upper * (1.0 - SAME)
 
 
 def tour_form(problem: SequencingProblem) -> TourForm:
@@ -89,7 +94,8 @@ def tour_form(problem: SequencingProblem) -> TourForm:
     missing = 1.0 + len(sizes) * float(cost[finite].max(initial=0.0))
     cost = np.where(finite, cost, missing)
     numbers = (problem.cost[problem.cost < np.inf], problem.service)
-    integral = all(bool(np.all(x == np.floor(x))) and float(x.max(initial=0.0)) < 2**40 for x in numbers)
+    greatest = n * math.fsum(float(x.max(initial=0.0)) for x in numbers)
+    integral = all(bool(np.all(x == np.floor(x))) for x in numbers) and greatest < MOST_EXACT
     return TourForm(cost, first, _earlier(problem, order), node, missing, integral)
 
 

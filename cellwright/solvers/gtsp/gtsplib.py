@@ -87,8 +87,12 @@ def read_gtsplib(path: Path | str, *, symmetric: bool | None = None) -> Sequenci
     path = Path(path)
     try:
         text = path.read_text(encoding="utf-8-sig", errors="strict")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InvalidInputError(f"{path} cannot be read as text: {error}") from error
+    except UnicodeDecodeError as error:
+        raise InvalidInputError(
+            f"{path} is not text in UTF-8 (byte {error.start}): save it so, or name a GTSPLIB file"
+        ) from error
+    except OSError as error:
+        raise InvalidInputError(f"{path} cannot be read: {error.strerror}: check path and permissions") from error
     return parse_gtsplib(text, path.name, symmetric=symmetric)
 
 
@@ -132,7 +136,8 @@ def format_gtsplib(problem: SequencingProblem, name: str = "problem", comment: s
     ):
         if unsaid:
             raise InvalidInputError(f"a GTSPLIB file cannot hold {what}: {mend}")
-    cost = np.where(np.isfinite(problem.cost), problem.cost, 0.0)
+    # within a cluster anything may stand, and none of it is looked at
+    cost = np.where(between | (np.isfinite(problem.cost) & (problem.cost >= 0.0)), problem.cost, 0.0)
     kind = "GTSP" if np.array_equal(cost, cost.T) else "AGTSP"
     lines = [f"NAME : {name}", f"COMMENT : {comment}" if comment else "", f"TYPE : {kind}",
              f"DIMENSION : {len(cost)}", f"GTSP_SETS : {problem.n_clusters}", "EDGE_WEIGHT_TYPE : EXPLICIT",
@@ -235,7 +240,7 @@ def _sets(file: _File, n: int, n_sets: int) -> tuple[Int32Array, ...]:
         for word in members:
             node = file.whole(word, section)
             if not 1 <= node <= n:
-                file.fail(word.line, f"set {number} has node {node}, but DIMENSION is {n}")
+                file.fail(word.line, f"set {number} has node {node}, but DIMENSION is {n}: nodes count from 1 to {n}")
             if node in owner:
                 file.fail(word.line, f"node {node} is in set {owner[node]} and in set {number}: put it into one")
             owner[node] = number

@@ -9,20 +9,20 @@ out cheaper than guessed. What comes out is no proof; `cellwright.solvers.gtsp.l
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cellwright.arrays import BoolArray, FloatArray, Int32Array
+from cellwright.arrays import FloatArray, Int32Array
 from cellwright.errors import InvalidInputError
 from cellwright.solvers.gtsp.form import tour_form
+from cellwright.solvers.gtsp.known_costs import KnownCosts
 from cellwright.solvers.gtsp.problem import SequencingProblem, Stop
-from cellwright.solvers.gtsp.search import TourSearch
+from cellwright.solvers.gtsp.search import FIRST_CYCLE, TourSearch
 from cellwright.solvers.sequencing import tour_of
 
-ROUNDS = 3_000
-"""Rounds of search, in each chain, for the sequence to evaluate next."""
+ROUNDS = FIRST_CYCLE
+"""Rounds of search, in each chain, for the sequence to evaluate next: one cycle of annealing."""
 FEWEST_RATIOS = 4
 """Motions from which the scale of guesses is learnt; before, guesses stand as they are."""
 CHEAPER_THAN_GUESSED = 0.1
@@ -37,72 +37,72 @@ class GuidedResult:
     Attributes:
         nodes: The cheapest such sequence; empty if none was found.
         cost: What it costs, infinite if there is none.
-        known: True costs where ``evaluated``, lower bounds elsewhere, (alternatives, alternatives).
-        evaluated: Which are true costs.
         settled: Whether no sequence is cheaper by what is known and guessed.
     """
 
     nodes: Int32Array
     cost: float
-    known: FloatArray
-    evaluated: BoolArray
     settled: bool
 
 
 def search_guided(
-    problem: SequencingProblem,
+    known: KnownCosts,
     guess: FloatArray,
-    evaluate: Callable[[int, int], float],
     rng: np.random.Generator,
     *,
-    symmetric: bool = False,
     max_evaluations: int | None = None,
     stop: Stop | None = None,
 ) -> GuidedResult:
     """Return the cheapest sequence that guesses lead to.
 
     Args:
-        problem: As for `solve_sequence`, its ``cost`` being lower bounds of the true costs.
+        known: The problem and what is known of its costs; it learns what is evaluated.
         guess: What motions may cost, (alternatives, alternatives).
-        evaluate: True cost of one motion, infinite if there is none.
         rng: Where the search gets its random numbers from.
-        symmetric: Whether motions cost the same backwards.
         max_evaluations: Motions to evaluate at most, but for those of the last sequence.
         stop: Ends the work early when it returns true.
 
     Raises:
-        InvalidInputError: If guesses are of another shape, negative or not a number.
+        InvalidInputError: If guesses are of another shape, negative or not a number, or a true cost is below its bound.
     """
+    problem = known.problem
     if guess.shape != problem.cost.shape or not np.all(guess >= 0.0):
         raise InvalidInputError(f"guesses have shape {guess.shape} and must be at least 0: give one a motion")
     most = math.inf if max_evaluations is None else max_evaluations
-    known, evaluated = problem.cost.copy(), np.zeros(problem.cost.shape, bool)
-    best, cost, count, scale = np.empty(0, np.int32), math.inf, 0, 1.0
-    ratios: list[float] = []
+    best, cost, scale = np.empty(0, np.int32), math.inf, 1.0
+    found: list[float] = []
     while True:
-        likely = replace(problem, cost=np.where(evaluated, known, np.maximum(known, scale * guess)))
+        likely = guessed(known, scale * guess)
         form = tour_form(likely)
         tours = (tour_of(likely, form, best),) if len(best) else ()
         tour = TourSearch(form, rng, tours).run(ROUNDS, stop).tour
         if form.tour_cost(tour) >= form.missing:
-            return GuidedResult(best, cost, known, evaluated, settled=False)
+            return GuidedResult(best, cost, settled=False)
         nodes = form.node[tour]
         nodes = nodes[1:] if nodes[0] < 0 else nodes
-        legs = problem.legs(nodes)
-        open_ = [leg for leg in legs if not evaluated[leg]]
+        open_ = known.open_legs(nodes)
         for a, b in open_:
-            if evaluated[a, b]:
-                continue
-            known[a, b], evaluated[a, b] = max(evaluate(a, b), known[a, b]), True
-            count += 1
-            if guess[a, b] > 0.0 and math.isfinite(known[a, b]):
-                ratios.append(known[a, b] / guess[a, b])
-            if symmetric:
-                known[b, a], evaluated[b, a] = known[a, b], True
-        total = math.fsum(float(problem.service[v]) for v in nodes) + math.fsum(float(known[leg]) for leg in legs)
+            count = known.n_evaluated
+            true = known.evaluate(a, b)
+            if known.n_evaluated > count and guess[a, b] > 0.0 and math.isfinite(true):
+                found.append(true / guess[a, b])
+        total = known.present().cost_of(nodes)
         if total < cost:
             best, cost = nodes, total
-        if not open_ or count >= most or (stop is not None and stop()):
-            return GuidedResult(best, cost, known, evaluated, settled=not open_)
-        if len(ratios) >= FEWEST_RATIOS:
-            scale = min(1.0, max(SMALLEST_SCALE, float(np.quantile(ratios, CHEAPER_THAN_GUESSED))))
+        if not open_ or known.n_evaluated >= most or (stop is not None and stop()):
+            return GuidedResult(best, cost, settled=not open_)
+        if len(found) >= FEWEST_RATIOS:
+            scale = min(1.0, max(SMALLEST_SCALE, float(np.quantile(found, CHEAPER_THAN_GUESSED))))
+
+
+def guessed(known: KnownCosts, guess: FloatArray) -> SequencingProblem:
+    """Return the problem on what is known and, where that is a bound alone, on a guess that is not below it."""
+    return replace(known.problem, cost=np.where(known.evaluated, known.cost, np.maximum(known.cost, guess)))
+
+
+def ratios(known: KnownCosts, guess: FloatArray) -> FloatArray:
+    """Return true costs over guesses of the motions evaluated, those that exist and are guessed at, each once."""
+    told = known.evaluated & np.isfinite(known.cost) & (guess > 0.0)
+    if known.symmetric:
+        told = np.triu(told)
+    return np.asarray(known.cost[told] / guess[told])

@@ -9,8 +9,8 @@ motion by motion only as long as it can: both spare proofs and evaluations.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -18,15 +18,13 @@ from cellwright.arrays import BoolArray, FloatArray, Int32Array
 from cellwright.errors import InfeasibleError, InvalidInputError
 from cellwright.solvers.gtsp.exact import Proof, prove
 from cellwright.solvers.gtsp.form import SAME, TourForm, only_cluster, result_of, tour_form
+from cellwright.solvers.gtsp.known_costs import Evaluate, KnownCosts
 from cellwright.solvers.gtsp.problem import SequencingProblem, SequencingResult, Stop
-from cellwright.solvers.gtsp.search import TourSearch
+from cellwright.solvers.gtsp.search import FIRST_CYCLE, TourSearch
 from cellwright.solvers.sequencing import BOUND_WORK, DEFAULT_MEMORY, DEFAULT_WORK, EXACT_UP_TO, tour_of
 
-Evaluate = Callable[[int, int], float]
-"""True cost of going from one alternative to another; infinite if there is no motion."""
-
-ROUNDS_BETWEEN = 3_000
-"""Rounds of search, in each chain, for the next sequence that could win."""
+ROUNDS_BETWEEN = FIRST_CYCLE
+"""Rounds of search, in each chain, for the next sequence that could win: one cycle of annealing."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,7 +99,8 @@ def solve_lazily(
         rng: Where the search gets its random numbers from.
         symmetric: Whether motions cost the same backwards, so that one evaluation is worth two.
         target_gap: Share of the cost by which the bound may stay below it.
-        max_evaluations: Motions to evaluate at most, but for those of the first sequence.
+        max_evaluations: Motions to evaluate at most, but for those of the first sequence: while there is none, as many
+            more as a sequence has.
         max_work: Sums and comparisons of each proof.
         memory: Bytes that the states of dynamic programming may take.
         stop: Ends the work early when it returns true.
@@ -109,63 +108,59 @@ def solve_lazily(
 
     Raises:
         InvalidInputError: If a true cost is below its lower bound, or not a number, or a setting is out of range.
-        InfeasibleError: If no sequence is found whose motions all exist.
+        InfeasibleError: If no sequence is found whose motions all exist, or none before a limit is met.
+    """
+    return solve_known(
+        KnownCosts(problem, evaluate, symmetric=symmetric),
+        rng,
+        target_gap=target_gap,
+        max_evaluations=max_evaluations,
+        max_work=max_work,
+        memory=memory,
+        stop=stop,
+        n_threads=n_threads,
+    )
+
+
+def solve_known(
+    known: KnownCosts,
+    rng: np.random.Generator,
+    *,
+    start: Sequence[int] | Int32Array | None = None,
+    target_gap: float = 0.0,
+    max_evaluations: int | None = None,
+    max_work: float | None = None,
+    memory: int = DEFAULT_MEMORY,
+    stop: Stop | None = None,
+    n_threads: int | None = None,
+) -> LazyResult:
+    """Return what `solve_lazily` does, going on from costs that are known already.
+
+    Args:
+        known: What is known; it learns what is evaluated. Its evaluations before count towards the limit.
+        rng: As for `solve_lazily`.
+        start: A sequence whose motions all exist, evaluated or to be evaluated first whatever the limit.
+        target_gap: As for `solve_lazily`, like the rest.
+        max_evaluations: See there.
+        max_work: See there.
+        memory: See there.
+        stop: See there.
+        n_threads: See there.
+
+    Raises:
+        InvalidInputError: As `solve_lazily`; also if ``start`` does not fit the problem.
+        InfeasibleError: As `solve_lazily`.
     """
     if not 0.0 <= target_gap < 1.0:
         raise InvalidInputError(f"target_gap is {target_gap}: give a share of at least 0 and below 1")
+    problem = known.problem
     if problem.n_clusters == 1:
-        only = only_cluster(problem)
-        return LazyResult(only, 0, 0, 0, problem.cost, np.zeros(problem.cost.shape, bool))
-    known = _Known(problem, evaluate, symmetric)
+        return LazyResult(only_cluster(problem), known.n_evaluated, 0, 0, known.cost, known.evaluated)
     work = (DEFAULT_WORK if problem.n_clusters <= EXACT_UP_TO else BOUND_WORK) if max_work is None else max_work
-    return _Lazy(known, rng, work, memory, stop, n_threads).solve(target_gap, max_evaluations)
-
-
-class _Known:
-    """What is known of the costs."""
-
-    def __init__(self, problem: SequencingProblem, evaluate: Evaluate, symmetric: bool) -> None:
-        self.problem, self._evaluate, self._symmetric = problem, evaluate, symmetric
-        self.cost: FloatArray = problem.cost.copy()
-        self.evaluated: BoolArray = np.zeros(self.cost.shape, bool)
-        self.n_evaluated = 0
-        sizes = np.array([len(own) for own in problem.clusters])
-        self.n_motions = int((sizes.sum() ** 2 - (sizes**2).sum()) // (2 if symmetric else 1))
-
-    def present(self) -> SequencingProblem:
-        """Return the problem on what is known now."""
-        return replace(self.problem, cost=self.cost)
-
-    def settle(self, nodes: Int32Array, ceiling: float, n_most: float) -> float:
-        """Evaluate the motions of a sequence while it can cost less than ``ceiling``; return its cost if all are.
-
-        Infinite if it turns out to cost as much, or if ``n_most`` evaluations are spent before.
-        """
-        legs = self.problem.legs(nodes)
-        own = math.fsum(float(self.problem.service[v]) for v in nodes)
-        # the longest first: where most can be lost, so that what cannot win is found out soon
-        open_ = sorted((leg for leg in legs if not self.evaluated[leg]), key=lambda leg: (-self.cost[leg], leg))
-        for leg in open_:
-            total = own + math.fsum(float(self.cost[each]) for each in legs)
-            if total >= ceiling or self.n_evaluated >= n_most:
-                return math.inf
-            self._settle_leg(*leg)
-        total = own + math.fsum(float(self.cost[each]) for each in legs)
-        return total if total < ceiling else math.inf
-
-    def _settle_leg(self, a: int, b: int) -> None:
-        if self.evaluated[a, b]:
-            return
-        true, least = float(self._evaluate(a, b)), float(self.cost[a, b])
-        self.n_evaluated += 1
-        if math.isnan(true) or true < least - 1e-6 * max(1.0, abs(least)):
-            raise InvalidInputError(
-                f"the motion from alternative {a} to {b} costs {true:g}, but its lower bound is {least:g}: no proof "
-                "holds on bounds that are none; lower them"
-            )
-        self.cost[a, b], self.evaluated[a, b] = max(true, least), True
-        if self._symmetric:
-            self.cost[b, a], self.evaluated[b, a] = self.cost[a, b], True
+    lazy = _Lazy(known, rng, work, memory, stop, n_threads, max_evaluations)
+    if start is not None:
+        lazy.begin(np.asarray(start, np.int32))
+    return lazy.solve(target_gap)
 
 
 class _Lazy:
@@ -173,26 +168,37 @@ class _Lazy:
 
     def __init__(
         self,
-        known: _Known,
+        known: KnownCosts,
         rng: np.random.Generator,
         work: float,
         memory: int,
         stop: Stop | None,
         n_threads: int | None,
+        max_evaluations: int | None,
     ) -> None:
         self.known, self.rng, self.work, self.memory = known, rng, work, memory
         self.stop, self.n_threads = stop, n_threads
         self.cost, self.nodes = math.inf, np.empty(0, np.int32)
         self.n_proofs = self.n_states = self.n_rounds = 0
         self.multiplier: FloatArray | None = None
+        self.most = math.inf if max_evaluations is None else float(max_evaluations)
+        self.n_legs = len(known.problem.clusters)
+        self.ceiling = self.most + self.n_legs  # what may be evaluated as long as there is no sequence
 
-    def solve(self, target_gap: float, max_evaluations: int | None) -> LazyResult:
+    def begin(self, nodes: Int32Array) -> None:
+        """Take a sequence to begin with; one with a way that does not exist is none."""
+        wrong = self.known.problem.violation(nodes)
+        if wrong:
+            raise InvalidInputError(f"the sequence to begin with does not fit the problem: {wrong}")
+        cost = self.known.settle(nodes, math.inf, lambda: False)
+        if cost < math.inf:
+            self.cost, self.nodes = cost, nodes
+
+    def solve(self, target_gap: float) -> LazyResult:
         """Search and evaluate, then prove and evaluate, until nothing can win or a limit is met."""
-        most = math.inf if max_evaluations is None else float(max_evaluations)
         bound = 0.0
         while True:
-            self._search(most)
-            proof, nodes = self._prove()
+            proof, nodes = self._prove(self._search())
             bound = max(bound, min(proof.bound, self.cost))
             if bound >= self.cost * (1.0 - target_gap - SAME):
                 return self._result(bound, "gap" if target_gap else "proof")
@@ -200,34 +206,40 @@ class _Lazy:
                 return self._result(bound, "stop")
             if not self._wins(proof.cost):
                 return self._result(bound, proof.stopped_by)
-            if self._spent(most):
+            if self._spent():
                 return self._result(bound, "evaluations")
-            self._settle(nodes, most)
+            self._settle(nodes)
 
-    def _search(self, most: float) -> None:
-        """Evaluate what search finds to be cheaper, as known, than the best, until it finds nothing."""
-        while not (self._spent(most) or self._stopped()):
+    def _search(self) -> Int32Array:
+        """Evaluate what search finds to be cheaper, as known, than the best, until it finds nothing; return the last.
+
+        Without any sequence it goes on a little beyond the limits: as far as one more sequence has motions. Where no
+        more may be evaluated, the cheapest as known is still what a proof begins with best.
+        """
+        while True:
+            stopped = self._stopped()
+            if len(self.nodes) and stopped:
+                return self.nodes
+            if stopped:
+                self.ceiling = min(self.ceiling, self.known.n_evaluated + self.n_legs)
             form = tour_form(self.known.present())
             search = TourSearch(form, self.rng, self._tours(form))
             found = search.run(ROUNDS_BETWEEN, self.stop, n_threads=self.n_threads)
             self.n_rounds += search.n_rounds
-            if not self._wins(found.cost):
-                return
+            nodes = _nodes(form, found.tour)
+            if not self._wins(found.cost) or (len(self.nodes) and self._spent()):
+                return nodes
             self._check_ways(form, found.tour)
-            self._settle(_nodes(form, found.tour), most)
+            self._settle(nodes)
+            self._check_budget()
 
-    def _prove(self) -> tuple[Proof, Int32Array]:
+    def _prove(self, nodes: Int32Array) -> tuple[Proof, Int32Array]:
         """Bound the costs as known; return the proof and the cheapest sequence on them that it knows."""
-        form = tour_form(self.known.present())
-        tours = self._tours(form)
-        if not tours:  # stopped before any sequence was settled: one must be, to have something to return
-            tours = (TourSearch(form, self.rng).best()[0],)
-            self._check_ways(form, tours[0])
-            self._settle(_nodes(form, tours[0]), math.inf)
-            return self._prove()
+        problem = self.known.present()
+        form = tour_form(problem)
         proof = prove(
             form,
-            tours[0],
+            tour_of(problem, form, nodes),
             max_work=self.work,
             memory=self.memory,
             stop=self.stop,
@@ -239,22 +251,36 @@ class _Lazy:
             self.multiplier = proof.multiplier
         return proof, _nodes(form, proof.tour)
 
-    def _settle(self, nodes: Int32Array, most: float) -> None:
-        cost = self.known.settle(nodes, self.cost, most if len(self.nodes) else math.inf)
+    def _settle(self, nodes: Int32Array) -> None:
+        cost = self.known.settle(nodes, self.cost, self._is_over)
         if cost < self.cost:
             self.cost, self.nodes = cost, nodes
 
     def _wins(self, cost: float) -> bool:
         return cost < self.cost * (1.0 - SAME) if len(self.nodes) else True
 
-    def _spent(self, most: float) -> bool:
-        return bool(len(self.nodes)) and self.known.n_evaluated >= most
+    def _is_over(self) -> bool:
+        """Whether nothing more may be evaluated."""
+        if len(self.nodes):
+            return self._spent() or self._stopped()
+        return self.known.n_evaluated >= self.ceiling
+
+    def _spent(self) -> bool:
+        return self.known.n_evaluated >= self.most
 
     def _stopped(self) -> bool:
-        return bool(len(self.nodes)) and self.stop is not None and self.stop()
+        return self.stop is not None and self.stop()
 
     def _tours(self, form: TourForm) -> tuple[Int32Array, ...]:
         return (tour_of(self.known.problem, form, self.nodes),) if len(self.nodes) else ()
+
+    def _check_budget(self) -> None:
+        if not len(self.nodes) and self._is_over():
+            limit = f"{self.most:.0f} motions" if self.known.n_evaluated >= self.most else "time"
+            raise InfeasibleError(
+                f"no sequence was found whose motions all exist before the limit of {limit} was met, "
+                f"{self.known.n_evaluated} evaluated: allow more, add alternatives, or let evaluate look harder"
+            )
 
     def _check_ways(self, form: TourForm, tour: Int32Array) -> None:
         if form.tour_cost(tour) >= form.missing:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -143,33 +143,6 @@ class SequencingResult:
     def gap(self) -> float:
         """Share of the cost by which the bound stays below it; 0 if proven."""
         return max(0.0, (self.cost - self.lower_bound) / self.cost) if self.cost > 0 else 0.0
-
-
-def costs_between(
-    evaluate: Callable[[int, int], float], clusters: Iterable[Sequence[int] | Int32Array], *, symmetric: bool = False
-) -> FloatArray:
-    """Return the matrix of all costs between alternatives of different clusters, by calling ``evaluate`` on each pair.
-
-    Where evaluating is dear, `cellwright.solvers.gtsp.lazy.solve_lazily` does with a small share of the pairs.
-
-    Args:
-        evaluate: Cost from one alternative to another.
-        clusters: Alternatives of each cluster, numbered from 0.
-        symmetric: Whether both directions cost the same; then only one is evaluated.
-    """
-    groups = [[int(v) for v in own] for own in clusters]
-    n = 1 + max((v for own in groups for v in own), default=-1)
-    cost = np.full((n, n), np.inf)  # (alternatives, alternatives)
-    for i, sources in enumerate(groups):
-        for j, targets in enumerate(groups):
-            if i == j or (symmetric and j < i):
-                continue
-            for a in sources:
-                for b in targets:
-                    cost[a, b] = evaluate(a, b)
-                    if symmetric:
-                        cost[b, a] = cost[a, b]
-    return cost
 
 
 def ancestors(problem: SequencingProblem) -> BoolArray:

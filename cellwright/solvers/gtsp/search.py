@@ -121,7 +121,7 @@ class TourSearch:
                 part = min(SLICE, n_rounds - done, self._left)
                 list(pool.map(lambda chain, part=part: self._anneal(chain, part), self._chains))
                 done, self._left = done + part, self._left - part
-        self.n_rounds += done
+                self.n_rounds += part
         return FoundTour(*self.best(), self.n_rounds, stopped)
 
     def _begin_cycle(self) -> None:

@@ -4,19 +4,19 @@ Through the nodes and the node velocities, which are the discrete Legendre trans
 Hermite curve. Where the mass matrix is constant this is the exact motion under torques that are constant in each step;
 elsewhere it differs by the order of the step. On a dense grid pinocchio's inverse dynamics says what torques the curve
 really takes. A rest-to-rest motion that exceeds a limit is slowed as a whole by as little as mends it: of the torques
-only the part that is not gravity shrinks, by the square. What cannot be mended so is no result, and says why.
+only the part that is not gravity shrinks, by the square, so an arm thrown through a pose in which it cannot be held
+must not be slowed too much either. What cannot be mended so is no result, and says why.
 """
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from cellwright.arrays import FloatArray
 from cellwright.cell.symbolic_dynamics import SymbolicDynamics
-from cellwright.solvers.hermite import peak_velocity, position_extremes
+from cellwright.solvers.hermite import interval_states, peak_velocity, position_extremes
 from cellwright.solvers.optimal_control.program import CostWeights, DiscreteMotion, MotionProgram
 from cellwright.solvers.path_timing import TimedMotion
 
@@ -26,8 +26,6 @@ ROUNDING = 1e-9
 """Share by which a limit may be exceeded: rounding."""
 SLOWEST = 4.0
 """A motion that would have to take so many times as long is no result: something else is wrong with it."""
-SMALLEST_SLACK = 1e-9
-"""Share of a torque limit that must be left for moving, where gravity takes the rest."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,42 +45,6 @@ class CheckedMotion:
     cost: float
     slowed: float
     fault: str = ""
-
-
-@dataclass(frozen=True)
-class Effort:
-    """What a motion asks of the arm, whoever planned it.
-
-    Attributes:
-        duration: In s.
-        torque_squared: Integral of u . u, (N m)^2 s.
-        speed_squared: Integral of qdot . qdot, rad^2 / s.
-        torque_share: Largest torque as a share of its limit; 0 where there are no limits.
-    """
-
-    duration: float
-    torque_squared: float
-    speed_squared: float
-    torque_share: float
-
-    def cost(self, weights: CostWeights) -> float:
-        """Return c_t, c_e and c_v times what each counts."""
-        return (
-            weights.time * self.duration + weights.effort * self.torque_squared + weights.velocity * self.speed_squared
-        )
-
-
-def effort_of(dynamics: SymbolicDynamics, max_effort: FloatArray, motion: TimedMotion) -> Effort:
-    """Return what the cubic Hermite curve through the states of a motion asks of the arm, nothing slowed or mended."""
-    dense = _Dense(motion)
-    torque = dynamics.torques(dense.q, dense.v, dense.a)
-    share = np.abs(torque) / max_effort
-    return Effort(
-        float(motion.time[-1] - motion.time[0]),
-        dense.integral(np.sum(torque**2, axis=-1)),
-        dense.integral(np.sum(dense.v**2, axis=-1)),
-        float(np.nanmax(share, initial=0.0)),
-    )
 
 
 def checked(program: MotionProgram, found: DiscreteMotion) -> CheckedMotion:
@@ -123,10 +85,7 @@ def checked_curve(
     torque = dynamics.torques(dense.q, dense.v, dense.a)
     holding = dynamics.holding_torque(dense.q)
     slowed, fault = _slowing(dynamics, max_effort, motion, torque, holding)
-    if fault:
-        slowed = 1.0
-    elif slowed > 1.0:
-        slowed *= 1.0 + ROUNDING
+    if slowed > 1.0:
         torque = holding + (torque - holding) / slowed**2
     cost = slowed * dense.integral(weights.rate(dense.v / slowed, torque))
     return CheckedMotion(dense.motion().slowed(slowed), torque[dense.kept], cost, slowed, fault)
@@ -139,23 +98,25 @@ def _slowing(
     torque: FloatArray,
     holding: FloatArray,
 ) -> tuple[float, str]:
-    """Return the factor that brings a motion within its limits, and why none does."""
+    """Return the least factor of at least 1 that brings a motion within its limits, and why none does (then 1)."""
     low, high = position_extremes(motion.time, motion.position, motion.velocity)
     reach = 1e-9 * (dynamics.upper - dynamics.lower)
     beyond = np.maximum(dynamics.lower - reach - low.min(axis=0), high.max(axis=0) - dynamics.upper - reach)
     worst = int(np.argmax(beyond))
     if beyond[worst] > 0.0:
         return 1.0, f"joint {dynamics.joint_names[worst]!r} leaves its limits by {beyond[worst]:.3g} between nodes"
-    needed = float(np.max(peak_velocity(motion.time, motion.position, motion.velocity) / dynamics.max_velocity))
-    moving = torque - holding
-    slack = np.where(moving >= 0.0, max_effort - holding, max_effort + holding)
-    row, joint = np.unravel_index(int(np.argmin(slack / max_effort)), slack.shape)
-    if slack[row, joint] <= SMALLEST_SLACK * max_effort[joint]:
+    speed = float(np.max(peak_velocity(motion.time, motion.position, motion.velocity) / dynamics.max_velocity))
+    least, most = _torque_room(max_effort, torque - holding, holding)
+    if speed > 1.0 + ROUNDING:
+        most = min(most, speed**-2)
+    if most <= 0.0 or least > most:
+        share = np.abs(holding) / max_effort
+        row, joint = np.unravel_index(int(np.argmax(share)), share.shape)
         return 1.0, (
             f"joint {dynamics.joint_names[joint]!r} needs {abs(holding[row, joint]):.6g} to hold the arm on the way, "
             f"but its limit is {max_effort[joint]:.6g}"
         )
-    needed = max(needed, math.sqrt(max(0.0, float(np.max(np.abs(moving) / slack)))))
+    needed = most**-0.5
     if needed <= 1.0 + ROUNDING:
         return 1.0, ""
     if np.any(motion.velocity[[0, -1]] != 0.0):
@@ -165,22 +126,33 @@ def _slowing(
     return needed, ""
 
 
+def _torque_room(max_effort: FloatArray, moving: FloatArray, holding: FloatArray) -> tuple[float, float]:
+    """Return between which factors, of at most 1, the moving part of the torques (states, joints) keeps the limits.
+
+    Slowed by s it shrinks by 1 / s^2, so each state wants ``-max <= holding + factor * moving <= max``. Where the arm
+    cannot be held, but is thrown through, the factor must not be too small either.
+    """
+    limit = max_effort * (1.0 + ROUNDING)
+    along = np.abs(moving)
+    towards = np.where(moving >= 0.0, holding, -holding)  # the holding torque, counted along the moving part
+    still = along <= ROUNDING * max_effort
+    if np.any(still & (np.abs(holding) > limit)):
+        return np.inf, 0.0
+    along = np.where(still, np.inf, along)
+    most = np.where(still, 1.0, (limit - towards) / along)
+    least = np.where(still, 0.0, (-limit - towards) / along)
+    return float(least.max()), min(1.0, float(most.min()))
+
+
 class _Dense:
     """Both ends and inner points of every interval: rows run interval by interval."""
 
     def __init__(self, motion: TimedMotion) -> None:
         self.h = np.diff(motion.time)
-        q0, v0, v1 = motion.position[:-1], motion.velocity[:-1], motion.velocity[1:]
-        h = self.h[:, None]
-        mean = np.diff(motion.position, axis=0) / h
-        b, c = 2.0 * (3.0 * mean - 2.0 * v0 - v1), 3.0 * (v0 + v1 - 2.0 * mean)
-        u = np.linspace(0.0, 1.0, SAMPLES + 1)[:, None]
-        shape = (-1, q0.shape[1])
-        q0, v0, b, c, h = (each[:, None] for each in (q0, v0, b, c, h))
-        self.q = np.asarray(q0 + h * u * (v0 + u * (b / 2.0 + u * c / 3.0))).reshape(shape)
-        self.v = np.asarray(v0 + u * (b + u * c)).reshape(shape)
-        self.a = np.asarray((b + 2.0 * u * c) / h).reshape(shape)
-        self.time = (motion.time[:-1, None] + self.h[:, None] * u[:, 0]).ravel()
+        u = np.linspace(0.0, 1.0, SAMPLES + 1)
+        states = interval_states(motion.time, motion.position, motion.velocity, u)
+        self.q, self.v, self.a = (each.reshape(-1, motion.position.shape[1]) for each in states)
+        self.time = (motion.time[:-1, None] + self.h[:, None] * u).ravel()
         # nodes between intervals appear twice: the later interval's is kept
         self.kept = np.ones(len(self.q), bool)
         self.kept[SAMPLES :: SAMPLES + 1] = False

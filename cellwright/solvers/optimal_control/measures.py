@@ -13,6 +13,7 @@ import numpy as np
 
 from cellwright.arrays import FloatArray
 from cellwright.cell.symbolic_dynamics import SymbolicDynamics
+from cellwright.solvers.hermite import interval_states
 from cellwright.solvers.optimal_control.program import CostWeights
 from cellwright.solvers.path_timing import TimedMotion
 
@@ -27,6 +28,7 @@ class Measures:
         work: Integral of the sum of abs(u_j qdot_j), in J: mechanical work where nothing is fed back.
         cost: Integral of the weighted cost.
         torque_share: Greatest share of a torque limit.
+        speed_squared: Integral of qdot . qdot, in rad^2 / s.
     """
 
     duration: float = 0.0
@@ -34,6 +36,7 @@ class Measures:
     work: float = 0.0
     cost: float = 0.0
     torque_share: float = 0.0
+    speed_squared: float = 0.0
 
 
 def together(parts: Iterable[Measures]) -> Measures:
@@ -45,6 +48,7 @@ def together(parts: Iterable[Measures]) -> Measures:
         sum(part.work for part in listed),
         sum(part.cost for part in listed),
         max((part.torque_share for part in listed), default=0.0),
+        sum(part.speed_squared for part in listed),
     )
 
 
@@ -62,6 +66,7 @@ def measure(dynamics: SymbolicDynamics, weights: CostWeights, max_effort: FloatA
         integral(np.sum(np.abs(torque * v), axis=2)),
         integral(weights.rate(v, torque)),
         float(np.max(np.abs(torque) / max_effort)),
+        integral(np.sum(v**2, axis=2)),
     )
 
 
@@ -74,16 +79,6 @@ def power_over_time(dynamics: SymbolicDynamics, motion: TimedMotion) -> tuple[Fl
 def _on_curve(dynamics: SymbolicDynamics, motion: TimedMotion) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return durations (intervals,), velocities and torques (intervals, 3, joints) at begin, middle and end of each."""
     n = dynamics.n_joints
-    h = np.diff(motion.time)
-    position, velocity = motion.position[:, :n], motion.velocity[:, :n]
-    step = h[:, None]
-    mean = np.diff(position, axis=0) / step
-    v0, v1 = velocity[:-1], velocity[1:]
-    b, c = 6.0 * mean - 4.0 * v0 - 2.0 * v1, 3.0 * (v0 + v1) - 6.0 * mean
-    q, v, a = (np.empty((len(h), 3, n)) for _ in range(3))
-    for row, u in enumerate((0.0, 0.5, 1.0)):
-        q[:, row] = position[:-1] + step * u * (v0 + u * (b / 2.0 + u * c / 3.0))
-        v[:, row] = v0 + u * (b + u * c)
-        a[:, row] = (b + 2.0 * u * c) / step
+    q, v, a = interval_states(motion.time, motion.position[:, :n], motion.velocity[:, :n], np.array([0.0, 0.5, 1.0]))
     torque = dynamics.torques(*(each.reshape(-1, n) for each in (q, v, a))).reshape(q.shape)
-    return h, v, torque
+    return np.diff(motion.time), v, torque

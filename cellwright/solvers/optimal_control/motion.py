@@ -167,10 +167,7 @@ class OptimalControlCost:
 
     def _with_steps(self, n_steps: int) -> MotionProgram:
         if n_steps not in self._finer:
-            own = self._program
-            self._finer[n_steps] = MotionProgram(
-                own.dynamics, own.weights, n_steps=n_steps, max_effort=own.max_effort, bound_nodes=own.bound_nodes
-            )
+            self._finer[n_steps] = self._program.with_steps(n_steps)
         return self._finer[n_steps]
 
     def _slow_straight(self, q_a: FloatArray, q_b: FloatArray) -> tuple[CheckedMotion, str] | None:

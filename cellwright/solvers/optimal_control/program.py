@@ -1,8 +1,12 @@
 """The discrete optimal control problem of Bjorkenstam 2014, section 2.3, built once an arm and solved for many motions.
 
-Unknown are the positions q_0 .. q_N, the velocities v_k = (q_{k+1} - q_k) / h and torques u_k of the N steps' middles,
-and the duration T = N h. Equations: the discrete Euler-Lagrange equations and the discrete Legendre transforms of the
-boundary velocities, all in torque units a joint limit. Cost: sum of h (c_t + c_e u_k . u_k + c_v v_k . v_k). Ends,
+Unknown are the positions q_0 .. q_N, the velocities v_k = (q_{k+1} - q_k) / h and torques u_k of the N steps'
+middles, the velocities w_0 .. w_N of the nodes, and the duration T = N h. Equations: the discrete Legendre transform
+of the velocity at every node, from the step before it and from the step behind it; both together are the discrete
+Euler-Lagrange equations; all in torque units a joint limit. Cost: sum of h (c_t + c_e u_k . u_k + c_v s_k), where s_k
+is the step's mean of the squared speed by Simpson's rule from w_k, v_k and w_{k+1}. With ``bound_nodes=False`` it is
+the paper's program: velocities of the two ends alone, and v_k . v_k in place of s_k. Velocities of the nodes are
+limited, as those of the steps are, and so may be the accelerations of the cubic Hermite curve through them. Ends,
 boundary velocities and boxes of the positions enter through bounds alone, so one compiled program serves every motion
 of an arm. Solved by Ipopt; local optima only. Some 20 to 100 ms a motion at N = 20.
 """
@@ -143,7 +147,7 @@ class MotionProgram:
             raise InvalidInputError(f"n_steps is {n_steps}: give at least {FEWEST_STEPS}")
         self.mechanics = DiscreteMechanics(dynamics)
         self.weights = weights or CostWeights()
-        self.n_steps = n_steps
+        self.n_steps, self._most_iterations = n_steps, most_iterations
         self.max_effort = effort_limits(dynamics, max_effort)
         self.bound_nodes = bound_nodes
         self.max_acceleration, self.reserve = max_acceleration, reserve
@@ -157,6 +161,23 @@ class MotionProgram:
     def dynamics(self) -> SymbolicDynamics:
         """The arm."""
         return self.mechanics.dynamics
+
+    def with_steps(self, n_steps: int) -> MotionProgram:
+        """Return the same program with another number of steps.
+
+        Raises:
+            InvalidInputError: If there are too few.
+        """
+        return MotionProgram(
+            self.dynamics,
+            self.weights,
+            n_steps=n_steps,
+            max_effort=self.max_effort,
+            bound_nodes=self.bound_nodes,
+            most_iterations=self._most_iterations,
+            max_acceleration=self.max_acceleration,
+            reserve=self.reserve,
+        )
 
     def _filled(self, dynamics: SymbolicDynamics) -> StructuredProgram:
         n, steps, at = dynamics.n_joints, self.n_steps, self._layout

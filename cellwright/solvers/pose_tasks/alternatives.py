@@ -67,7 +67,6 @@ class Tally:
     n_solutions: int = 0
     n_within_limits: int = 0
     n_broken: int = 0
-    n_free: int = 0
     n_kept: int = 0
     blocked: Counter[tuple[str, str]] = field(default_factory=Counter)
 
@@ -183,7 +182,6 @@ class _Ways:
         if (turn, branch) not in self.free:
             pair = self._first_contact(path)
             self.free[turn, branch] = pair is None
-            self.tally.n_free += pair is None
             if pair is not None:
                 self.tally.blocked[pair] += 1
                 return None

@@ -102,9 +102,10 @@ def worked_ways(
     """
     limits = Limits(cell.robot.chain.max_velocity, cell.robot.chain.max_acceleration)
     at = np.stack([[each.q_task, each.q_entry] for each in alternatives])  # (alternatives, 2, joints)
-    held = np.all(np.abs(cost.dynamics.holding_torque(at)) <= effort, axis=(1, 2))
+    share = np.max(np.abs(cost.dynamics.holding_torque(at)) / effort, axis=1)  # (alternatives, joints)
     found: list[WorkedWay] = []
-    for row in np.flatnonzero(held).tolist():
+    faults: dict[int, str] = {}
+    for row in np.flatnonzero(np.all(share <= 1.0, axis=1)).tolist():
         way = alternatives[row]
         task = tasks[way.task]
         if task.approach <= 0.0:
@@ -113,12 +114,26 @@ def worked_ways(
         path = trace_stroke(cell, task, way.rotation, way.q_task)
         stroke = None if path is None else time_stroke(path, task.approach, limits, sample)
         checked = None if stroke is None else cost.of_motion(stroke)
-        if checked is not None and not checked.fault:
-            found.append(WorkedWay(row, replace(way, stroke=checked.motion.duration), checked))
+        if checked is None or checked.fault:
+            faults[way.task] = "no stroke was found" if checked is None else f"on the stroke {checked.fault}"
+            continue
+        found.append(WorkedWay(row, replace(way, stroke=checked.motion.duration), checked))
     weak = sorted(set(range(len(tasks))) - {each.way.task for each in found})
     if weak:
+        own = np.array([way.task for way in alternatives]) == weak[0]
+        why = faults.get(weak[0]) or _holding_words(cost, share[own], effort)
         raise InfeasibleError(
-            f"the arm's torque limits allow no alternative of {listed([repr(tasks[row].name) for row in weak])}: "
-            "carry less (payload_kg), move the base, or give more rotations"
+            f"the arm's torque limits allow no alternative of {listed([repr(tasks[row].name) for row in weak])} "
+            f"({tasks[weak[0]].name!r}: {why}): carry less (payload_kg), move the base, or give more rotations"
         )
     return found
+
+
+def _holding_words(cost: OptimalControlCost, share: FloatArray, effort: FloatArray) -> str:
+    """Say what holding the arm asks for, by shares of the limits (alternatives, joints), where it asks for least."""
+    easiest = share[int(np.argmin(share.max(axis=1)))]
+    joint = int(np.argmax(easiest))
+    return (
+        f"joint {cost.dynamics.joint_names[joint]!r} needs at least {easiest[joint] * effort[joint]:.6g} to hold the "
+        f"arm, but its limit is {effort[joint]:.6g}"
+    )

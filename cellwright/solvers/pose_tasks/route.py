@@ -3,22 +3,24 @@
 Bjorkenstam 2014, section 2.1: solve the generalised travelling-salesman problem on lower bounds, plan the motions of
 the sequence, put their true costs in, and again, until the bound proves that nothing else can win or the work is
 spent. Where a cost guesses as well, because its bounds say little, the sequence that guesses lead to is found first and
-the bounds prove what they can of it. Two plainer orders are planned beside it for comparison: the tasks as they are
-listed, and always the nearest next.
+the bounds prove what they can of it. What is proven then may be little, so a second bound is measured: what no sequence
+undercuts as long as no other motion is cheaper, against its guess, than the cheapest of those planned. Two plainer
+orders are planned beside it for comparison: the tasks as they are listed, and always the nearest next.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from cellwright.arrays import FloatArray
 from cellwright.errors import InfeasibleError, listed
-from cellwright.solvers.gtsp.guided import search_guided
-from cellwright.solvers.gtsp.lazy import solve_lazily
+from cellwright.solvers.gtsp.guided import guessed, ratios, search_guided
+from cellwright.solvers.gtsp.known_costs import KnownCosts
+from cellwright.solvers.gtsp.lazy import solve_known
 from cellwright.solvers.gtsp.problem import SequencingProblem, Stop
 from cellwright.solvers.motion_cost import GuessedCost, MotionCost, PlannedMotions
 from cellwright.solvers.pose_tasks.alternatives import Alternative
@@ -28,8 +30,8 @@ from cellwright.solvers.sequencing import solve_sequence
 START, END = "start", "end"
 LISTED, NEAREST, FOUND = "as listed", "nearest next", "sequence"
 """The orders that are compared."""
-PROVEN = 1e-9
-"""Share of a cost by which a bound may stay below it and prove it: rounding."""
+LIKELY_ROUNDS = 4_000
+"""Rounds of search for the likely bound: as many as a proof asks for, since its sequence is not taken."""
 
 
 @dataclass(frozen=True)
@@ -66,6 +68,21 @@ class Order:
     cost: float
 
 
+@dataclass(frozen=True)
+class LikelyBound:
+    """What no sequence undercuts if no motion is cheaper, against its guess, than those that were planned.
+
+    Attributes:
+        value: The bound; never below the proven one.
+        least_ratio: The least true cost over guess among the motions planned, rounded down to hundredths.
+        n_motions: How many these are.
+    """
+
+    value: float
+    least_ratio: float
+    n_motions: int
+
+
 @dataclass(frozen=True, eq=False)
 class Route:
     """The sequence and how good it is.
@@ -80,6 +97,7 @@ class Route:
         motions: The planned motions, which hold those of the sequence.
         nodes: The sequence as nodes of ``motions``.
         closed: Whether a motion leads from its last node to its first.
+        likely: A bound that is likely and not proven; None where the cost does not guess.
     """
 
     stops: tuple[int, ...]
@@ -92,6 +110,7 @@ class Route:
     motions: PlannedMotions
     nodes: tuple[int, ...]
     closed: bool
+    likely: LikelyBound | None
 
     @property
     def cost(self) -> float:
@@ -102,6 +121,16 @@ class Route:
     def gap(self) -> float:
         """Share of the cost by which the bound stays below it."""
         return max(0.0, 1.0 - self.lower_bound / self.cost) if self.cost > 0 else 0.0
+
+    @property
+    def likely_bound(self) -> float | None:
+        """What no sequence undercuts if no motion costs less than `least_ratio` of its guess; None without guesses."""
+        return None if self.likely is None else self.likely.value
+
+    @property
+    def least_ratio(self) -> float | None:
+        """The least true cost over guess among the motions planned; None without guesses."""
+        return None if self.likely is None else self.likely.least_ratio
 
 
 def find_route(
@@ -133,7 +162,7 @@ def find_route(
 
     Raises:
         InvalidInputError: If what comes before what contradicts itself.
-        InfeasibleError: If no sequence is found whose motions all exist.
+        InfeasibleError: If no sequence is found whose motions all exist, or none before a limit is met.
     """
     costs = [each.stroke for each in alternatives] if strokes is None else list(strokes)
     problem, motions = _problem(tasks, alternatives, costs, start, cost, rules)
@@ -143,7 +172,9 @@ def find_route(
     except InfeasibleError as error:
         raise InfeasibleError(_no_way(problem, motions, tasks, str(error))) from error
     compared = {name: order for name in (LISTED, NEAREST) if (order := _plain_order(problem, motions, name, tasks))}
-    return _route(problem, motions, found, compared, len(alternatives))
+    best = min((found.best, *compared.values()), key=lambda order: order.cost)  # the work may be too little to search
+    likely = search.likely_bound(best, found, rng)
+    return _route(problem, motions, found, best, compared, likely, len(alternatives))
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,46 +201,46 @@ class _Search:
         progress: Callable[[float], None],
     ) -> None:
         self.problem, self.motions, self.work, self.stop, self.progress = problem, motions, work, stop, progress
-        self.asked: set[tuple[int, int]] = set()
+        self.known = KnownCosts(problem, self._evaluate, symmetric=motions.cost.symmetric)
+        self.guess: FloatArray | None = None
 
     def run(self, rng: np.random.Generator) -> _Found:
         """Return the best sequence found."""
-        cost, problem, first = self.motions.cost, self.problem, None
-        if isinstance(cost, GuessedCost) and problem.n_clusters > 1:
-            guess = np.maximum(cost.guess(self.motions.q), 0.0)
-            guided = search_guided(
-                problem, guess, self._evaluate, rng, symmetric=cost.symmetric,
-                max_evaluations=self.work.max_motions, stop=self.stop,
-            )  # fmt: skip
-            if len(guided.nodes):
-                first = Order(tuple(guided.nodes.tolist()), guided.cost)
-                problem = replace(problem, cost=guided.known)
-        lazy = solve_lazily(
-            problem, self._evaluate, rng, symmetric=cost.symmetric, target_gap=self.work.target_gap,
-            max_evaluations=self.work.max_motions if first is None else None, max_work=self.work.max_work,
-            stop=self.stop if first is None else self._is_over,
+        start = None
+        if isinstance(self.motions.cost, GuessedCost) and self.problem.n_clusters > 1:
+            self.guess = np.maximum(self.motions.cost.guess(self.motions.q), 0.0)
+            most = self.work.max_motions
+            guided = search_guided(self.known, self.guess, rng, max_evaluations=most, stop=self.stop)
+            start = guided.nodes if len(guided.nodes) else None
+        lazy = solve_known(
+            self.known, rng, start=start, target_gap=self.work.target_gap, max_evaluations=self.work.max_motions,
+            max_work=self.work.max_work, stop=self.stop,
         )  # fmt: skip
-        best = Order(tuple(lazy.result.nodes.tolist()), lazy.result.cost)
-        if first is None:
-            result = lazy.result
-            return _Found(best, result.lower_bound, result.proven, result.stopped_by, lazy.n_evaluated, lazy.n_motions)
-        if first.cost < best.cost:
-            best = first
-        bound, stopped_by = lazy.result.lower_bound, lazy.result.stopped_by
-        if stopped_by == "stop":  # which ended the proof too: what is known by now proves more
-            known = replace(self.problem, cost=lazy.cost)
-            proof = solve_sequence(known, rng, max_work=self.work.max_work, known=[best.nodes], stop=self.stop)
-            bound, stopped_by = max(bound, proof.lower_bound), "evaluations"
-        bound = min(bound, best.cost)
-        proven = bound >= best.cost * (1.0 - PROVEN)
-        return _Found(best, bound, proven, stopped_by, len(self.asked), lazy.n_motions)
+        result = lazy.result
+        best = Order(tuple(result.nodes.tolist()), result.cost)
+        return _Found(best, result.lower_bound, result.proven, result.stopped_by, lazy.n_evaluated, lazy.n_motions)
 
-    def _is_over(self) -> bool:
-        return len(self.asked) >= self.work.max_motions or (self.stop is not None and self.stop())
+    def likely_bound(self, best: Order, found: _Found, rng: np.random.Generator) -> LikelyBound | None:
+        """Return what no sequence undercuts if guesses are no worse than on the motions planned, all of them."""
+        if self.guess is None:
+            return None
+        for a, b in sorted(self.motions.found):  # the orders compared have planned some more
+            self.known.put(a, b, self.motions.evaluate(a, b))
+        told = ratios(self.known, self.guess)
+        if not len(told):
+            return None
+        # what is told is what is assumed, so it is rounded before it is used
+        least, value = math.floor(100.0 * float(told.min())) / 100.0, min(found.lower_bound, best.cost)
+        if not found.proven:
+            likely = guessed(self.known, least * self.guess)
+            proof = solve_sequence(
+                likely, rng, n_rounds=LIKELY_ROUNDS, max_work=self.work.max_work, known=[best.nodes], stop=self.stop
+            )
+            value = max(value, min(proof.lower_bound, best.cost))
+        return LikelyBound(value, least, len(told))
 
     def _evaluate(self, a: int, b: int) -> float:
-        self.asked.add((min(a, b), max(a, b)) if self.motions.cost.symmetric else (a, b))
-        self.progress(min(0.9, 0.9 * len(self.asked) / max(1, self.work.max_motions)))
+        self.progress(min(0.9, 0.9 * (self.known.n_evaluated + 1) / max(1, self.work.max_motions)))
         return self.motions.evaluate(a, b)
 
 
@@ -292,13 +323,11 @@ def _route(
     problem: SequencingProblem,
     motions: PlannedMotions,
     found: _Found,
+    best: Order,
     compared: dict[str, Order],
+    likely: LikelyBound | None,
     n_alternatives: int,
 ) -> Route:
-    best = found.best
-    for order in compared.values():  # where the work was too little for the search
-        if order.cost < best.cost:
-            best = order
     closed = problem.closed and len(best.nodes) > 1
     for a, b in problem.legs(best.nodes):
         motions.evaluate(a, b)
@@ -313,21 +342,32 @@ def _route(
         motions,
         best.nodes,
         closed,
+        likely,
     )
 
 
 def _no_way(problem: SequencingProblem, motions: PlannedMotions, tasks: Sequence[PoseTask], otherwise: str) -> str:
     """Say which tasks no motion leads to."""
-    led = {node for (a, b), found in motions.found.items() if found is not None for node in (a, b)}
-    tried = {node for pair in motions.found for node in pair}
-    cut_off = [
-        f"{problem.names[row]!r}"
-        for row, own in enumerate(problem.clusters)
-        if set(own.tolist()) & tried and not set(own.tolist()) & led
-    ]
+    cut_off = _cut_off(problem, motions)
     if not cut_off or len(cut_off) == len(problem.clusters):
         return f"no sequence of the {len(tasks)} tasks has a motion for every way: {otherwise}"
     return (
-        f"no collision-free motion was found to {listed(cut_off)} from any other task: raise roadmap_nodes or "
-        "max_alternatives, lower clearance_m, give more approach_m, or more room around them"
+        f"no collision-free motion was found to {listed([repr(problem.names[row]) for row in cut_off])} from any other "
+        f"task, {len(motions.found)} motions tried: raise roadmap_nodes or max_alternatives, lower clearance_m, give "
+        "more approach_m, or more room around them"
     )
+
+
+def _cut_off(problem: SequencingProblem, motions: PlannedMotions) -> list[int]:
+    """Return the fewest clusters, more or less, that explain which motions are missing: those missing most first."""
+    owner = problem.cluster_of()
+    led = {int(owner[v]) for pair, found in motions.found.items() if found is not None for v in pair}
+    missing = {frozenset(map(int, owner[list(pair)])) for pair, found in motions.found.items() if found is None}
+    cut_off: list[int] = []
+    while True:
+        open_ = [pair for pair in missing if not pair & set(cut_off)]
+        count = {row: sum(row in pair for pair in open_) for row in range(problem.n_clusters) if row not in led}
+        if not any(count.values()):
+            return sorted(cut_off)
+        most = max(count.values())
+        cut_off += [row for row, own in count.items() if own == most]

@@ -8,17 +8,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cellwright.arrays import FloatArray, Int32Array
+from cellwright.arrays import BoolArray, FloatArray, Int32Array
 from cellwright.cell.cell import Cell
 from cellwright.cell.transforms import inverse
 from cellwright.errors import listed
 from cellwright.solvers.clearance_proof import Clearance
 from cellwright.solvers.hermite import states_at
-from cellwright.solvers.motion_steps import link_poses_of
+from cellwright.solvers.motion_steps import MovingCorners, dense_times, link_poses_of
 from cellwright.solvers.plan_verification import (
     Check,
     CollisionProof,
@@ -29,16 +28,9 @@ from cellwright.solvers.plan_verification import (
 )
 from cellwright.solvers.pose_tasks.task import PoseTask
 
-if TYPE_CHECKING:
-    from cellwright.cell.symbolic_dynamics import Payload
-
 SAME_TIME = 1e-9
 """Seconds within which two times are one."""
-TORQUE = "joint torque"
-TORQUE_STATES = 4
-"""States of each interval at which torques are looked at."""
-STROKE_STATES = 200
-"""States at which each stroke is looked at."""
+NO_OWN_STOP = "segments called work of no stop of their own"
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,6 +48,19 @@ class Stops:
     end: FloatArray
     arrive: FloatArray
     leave: FloatArray
+
+
+def is_own_work(is_work: BoolArray, stop: Int32Array, n_stops: int) -> BoolArray:
+    """Return which segments are the work of a stop at which no other segment works, (segments,).
+
+    Args:
+        is_work: Which segments are said to be work, (segments,).
+        stop: The stops that they name, (segments,).
+        n_stops: How many stops there are.
+    """
+    known = is_work & (stop >= 0) & (stop < n_stops)
+    workers = np.bincount(stop[known], minlength=n_stops + 1)
+    return np.asarray(known & (workers[np.where(known, stop, 0)] == 1))
 
 
 def check_tasks(
@@ -95,55 +100,29 @@ def check_tasks(
     if end is not None:
         off = float(np.abs(plan.position[-1] - end).max())
         checks.append(Check("end off the given configuration", off, tolerances.joint_angle, "rad"))
+    moments = np.stack([stops.begin, stops.arrive, stops.leave, stops.end])  # (4, stops)
+    back = float(np.max(-np.diff(moments, axis=0), initial=0.0))
+    checks.append(Check("stop whose times are out of order", back, SAME_TIME, "s"))
+    dense = dense_times(plan, MovingCorners.of(cell), step=tolerances.step, step_angle=tolerances.step_angle)
     worst: dict[str, Check] = {}
     for number, row in enumerate(done):
-        for check in _stop_checks(plan, cell, tasks[row], stops, number, tolerances):
+        for check in _stop_checks(plan, cell, tasks[row], stops, number, dense, tolerances):
             if check.name not in worst or not check.found <= worst[check.name].found:
                 worst[check.name] = check
     return checks + list(worst.values())
 
 
-def check_torques(plan: TimedPlan, cell: Cell, payload: Payload | None, tolerances: Tolerances) -> Check:
-    """Check the torques of a motion, by inverse dynamics of the URDF's masses and a payload on the flange.
-
-    The motion is read as the curve through its states; each interval is looked at at both ends and between.
-
-    Raises:
-        InvalidInputError: If the URDF states no masses or torque limits that make sense.
-    """
-    from cellwright.cell.serial_arm import SerialArm
-    from cellwright.cell.symbolic_dynamics import symbolic_dynamics
-    from cellwright.solvers.optimal_control.program import effort_limits
-
-    dynamics = symbolic_dynamics(
-        SerialArm.from_robot(cell.robot), payload=payload, T_world_base=np.asarray(cell.T_world_base)
-    )
-    limits = effort_limits(dynamics, None)
-    lengths = np.diff(plan.time)
-    mean = np.diff(plan.position, axis=0) / lengths[:, None]
-    v_0, v_1 = plan.velocity[:-1], plan.velocity[1:]
-    worst, where, when = 0.0, "", None
-    for u in np.linspace(0.0, 1.0, TORQUE_STATES).tolist():
-        time = plan.time[:-1] + u * lengths
-        position, velocity = states_at(plan.time, plan.position, plan.velocity, time)
-        if u == 1.0:
-            position, velocity = plan.position[1:], v_1
-        # the second derivative of the cubic Hermite curve
-        change = ((6.0 - 12.0 * u) * mean + (6.0 * u - 4.0) * v_0 + (6.0 * u - 2.0) * v_1) / lengths[:, None]
-        share = np.abs(dynamics.torques(position, velocity, change)) / limits
-        row, joint = np.unravel_index(int(np.argmax(share)), share.shape)
-        if share[row, joint] > worst:
-            worst, when = float(share[row, joint]), float(time[row])
-            where = f"at {when:.3f} s in joint {int(joint) + 1}"
-    return Check(TORQUE, worst, 1.0 + tolerances.limit_share, "of its limit", where, time=when)
-
-
 def _stop_checks(
-    plan: TimedPlan, cell: Cell, task: PoseTask, stops: Stops, number: int, tolerances: Tolerances
+    plan: TimedPlan,
+    cell: Cell,
+    task: PoseTask,
+    stops: Stops,
+    number: int,
+    dense: FloatArray,
+    tolerances: Tolerances,
 ) -> list[Check]:
-    arrive, leave = float(stops.arrive[number]), float(stops.leave[number])
-    times = np.linspace(arrive, max(leave, arrive), 3)
-    off, turned = _deviation(plan, cell, task, times)
+    begin, arrive, leave, end = (float(each[number]) for each in (stops.begin, stops.arrive, stops.leave, stops.end))
+    off, turned = _deviation(plan, cell, task, _between(dense, arrive, leave))
     lacking = task.dwell - (leave - arrive)
     if number:
         lacking = max(lacking, float(stops.leave[number - 1]) - arrive)
@@ -153,11 +132,19 @@ def _stop_checks(
         Check("tool turned off its task", float(turned.max()), tolerances.angle, "rad", where),
         Check("time missing at a task", lacking, SAME_TIME, "s", where),
     ]
-    if task.approach > 0.0:
-        for outer, inner in ((float(stops.begin[number]), arrive), (float(stops.end[number]), leave)):
-            times = np.linspace(outer, inner, STROKE_STATES)
-            checks += _stroke_checks(plan, cell, task, times, tolerances, where)
+    if task.approach <= 0.0:
+        besides = max(arrive - begin, end - leave)
+        return [*checks, Check("motion at a task outside its strokes", besides, SAME_TIME, "s", where)]
+    for outer, inner in ((begin, arrive), (end, leave)):
+        checks += _stroke_checks(plan, cell, task, _between(dense, outer, inner), tolerances, where)
     return checks
+
+
+def _between(dense: FloatArray, first: float, last: float) -> FloatArray:
+    """Return both times and those of ``dense`` between them, in the order from ``first`` to ``last``."""
+    low, high = min(first, last), max(first, last)
+    inner = dense[(dense > low) & (dense < high)]
+    return np.concatenate([[first], inner if first <= last else inner[::-1], [last]])
 
 
 def _stroke_checks(

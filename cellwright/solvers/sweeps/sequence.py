@@ -5,7 +5,8 @@ alternatives are directions, branches and windings, and whose costs begin as low
 sequence could win by it. A motion between two sweeps either joins them without a stop (`JoiningMotions`) or, where
 something is in the way, is the collision-free path with a stop at both ends. What stopping costs counts with the
 motion. Ways around what is in the way are dear to find, so they are sought for the motions of the best sequence alone,
-and the sequence is sought again with what they cost, until it keeps its motions.
+and the sequence is sought again with what they cost, until it keeps its motions. Bound and proof are those of the last
+search, over the motions as they were found by then; a limit on motions holds for all searches together.
 """
 
 from __future__ import annotations
@@ -20,7 +21,8 @@ import numpy as np
 
 from cellwright.arrays import FloatArray, Int32Array
 from cellwright.errors import InfeasibleError
-from cellwright.solvers.gtsp.lazy import LazyResult, solve_lazily
+from cellwright.solvers.gtsp.known_costs import KnownCosts
+from cellwright.solvers.gtsp.lazy import LazyResult, solve_known
 from cellwright.solvers.gtsp.problem import SequencingProblem
 from cellwright.solvers.motion_cost import CostedMotion
 from cellwright.solvers.optimal_control.joining import JoiningMotions, MovingState
@@ -140,6 +142,10 @@ class SweepLegs:
         leg = self.found[a, b]
         return math.inf if leg is None else leg.cost
 
+    def known_pairs(self) -> list[tuple[int, int]]:
+        """Return the pairs of rows whose cost is known: what was found, and the end, to which nothing has to move."""
+        return [*self.found, *((row, self.end) for row in range(self.end))]
+
     def refine(self, nodes: Sequence[int], returns: bool) -> bool:
         """Seek ways around what makes legs of a sequence stop; return whether one is cheaper than stopping."""
         rows = [self.start, *nodes, *([self.start] if returns else [])]
@@ -234,6 +240,8 @@ def sequence_sweeps(
 ) -> SequencedSweeps:
     """Return the cheapest sequence found from the start through every sweep, of options; never dearer than ``known``.
 
+    At most ``max_motions`` are found, but for those of the first sequence: ``known``, if its motions all exist.
+
     Raises:
         InfeasibleError: If no sequence is found whose motions all exist.
     """
@@ -243,17 +251,26 @@ def sequence_sweeps(
         progress(min(1.0, len(legs.found) / max_motions))
         return legs.evaluate(a, b)
 
-    for _ in range(REFINEMENTS + 1):
-        lazy = solve_lazily(problem, evaluate, rng, target_gap=target_gap, max_evaluations=max_motions)
+    start = None if known is None else _with_ends(legs, known, returns)
+    for turn in range(REFINEMENTS + 1):
+        costs = KnownCosts(problem, evaluate)
+        for a, b in legs.known_pairs():
+            if a < len(problem.cost) and b < len(problem.cost):
+                costs.put(a, b, legs.evaluate(a, b))
+        left = max(0, max_motions - len(legs.found))
+        lazy = solve_known(costs, rng, start=start, target_gap=target_gap, max_evaluations=left)
         tour = lazy.result.nodes
         if returns:  # the tour may begin anywhere
             tour = np.roll(tour, -tour.tolist().index(legs.start))
         nodes = [node for node in tour.tolist() if node < legs.start]
-        if known is not None and legs.total(known, returns) < lazy.result.cost:
-            nodes = list(known)
-        if not legs.refine(nodes, returns):
+        start = _with_ends(legs, nodes, returns)
+        if turn == REFINEMENTS or not legs.refine(nodes, returns):  # what is refined is searched again
             break
     return _sequenced(legs, nodes, lazy, returns)
+
+
+def _with_ends(legs: SweepLegs, nodes: Sequence[int], returns: bool) -> list[int]:
+    return [legs.start, *nodes] if returns else [legs.start, *nodes, legs.end]
 
 
 def _problem(legs: SweepLegs, names: Sequence[str], returns: bool) -> SequencingProblem:

@@ -6,8 +6,9 @@ sweeps are passed at speed and motions join them; where the cost is time, motion
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -16,19 +17,21 @@ from cellwright.cell.cell import Cell
 from cellwright.cell.motion_filter import FilteredScene
 from cellwright.cell.scene import Scene
 from cellwright.cell.symbolic_dynamics import SymbolicDynamics
+from cellwright.errors import InfeasibleError
 from cellwright.solvers.connections import first_collision
-from cellwright.solvers.motion_cost import CostedMotion
+from cellwright.solvers.motion_cost import CostedMotion, PathCost
+from cellwright.solvers.optimal_control.checked_motion import checked_curve
 from cellwright.solvers.optimal_control.collision_free import AvoidanceParams
 from cellwright.solvers.optimal_control.cost_bounds import least_cost
 from cellwright.solvers.optimal_control.joining import JoiningMotions, JoiningScene
 from cellwright.solvers.optimal_control.measures import Measures, measure
 from cellwright.solvers.optimal_control.program import CostWeights, MotionProgram
-from cellwright.solvers.path_timing import Limits, TimedMotion, least_time
+from cellwright.solvers.path_timing import TimedMotion
 from cellwright.solvers.stitched_plan import StitchSettings
 from cellwright.solvers.sweeps.access import SweepAccess
 from cellwright.solvers.sweeps.passing import STOPPING, PassedOption, passed_options
 from cellwright.solvers.sweeps.planned import PlannedSweep
-from cellwright.solvers.sweeps.sequence import SequencedSweeps, SweepLegs, sequence_sweeps
+from cellwright.solvers.sweeps.sequence import SequencedSweeps, StoppingMotions, SweepLegs, sequence_sweeps
 
 RESERVE = (0.005, 0.05)
 """Shares of speed and acceleration limits, and of torque limits, left for what lies between the nodes of a motion."""
@@ -91,14 +94,16 @@ def sequenced(
     no more than the sequence ``known``, if that is given.
 
     Raises:
-        InfeasibleError: If no sequence is found whose motions all exist, or the torque limits do not hold the arm.
+        InfeasibleError: If no sequence is found whose motions all exist, or the torque limits allow no way to execute
+            a sweep or do not hold the arm.
     """
     checker = FilteredScene(scene)
     roadmap_rng, search_rng = np.random.default_rng(seed), np.random.default_rng([seed, 1])
     access = SweepAccess(cell, checker, sweeps, settings, roadmap_rng, lambda share: None)
     options = [option for own in passed_options(cell, sweeps, settings, at_speed=arm is not None) for option in own]
+    costs = SweepCosts(arm)
     if arm is not None:
-        options = _held(options, arm, access.start, sweeps)
+        options = executable_options(options, arm, costs, access.start, sweeps)
     sweep_checker = FilteredScene(scene.with_clearance(settings.sweep_clearance))
     steps = settings.confirm_step, settings.confirm_angle
     free: dict[tuple[int, tuple[int, int]], bool] = {}
@@ -109,9 +114,12 @@ def sequenced(
             free[key] = first_collision(sweep_checker, access.corners, option.motions[STOPPING], *steps) is None
         return free[key]
 
-    paths = _Paths(access, arm)
-    joining = None if arm is None else _joining(access, scene, checker, settings, arm, paths)
-    legs = SweepLegs(options, access.start, _SweepCosts(arm), paths, joining, is_free)
+    paths: StoppingMotions = (planned := PathCost(access.connections, access.limits))
+    joining = None
+    if arm is not None:
+        paths = controlled = ControlledPaths(planned, arm)
+        joining = _joining(access, scene, checker, settings, arm, controlled)
+    legs = SweepLegs(options, access.start, costs, paths, joining, is_free)
     return sequence_sweeps(
         legs,
         [sweep.name for sweep in sweeps],
@@ -139,7 +147,7 @@ def _joining(
     checker: FilteredScene,
     settings: StitchSettings,
     arm: ControlledArm,
-    paths: _Paths,
+    paths: ControlledPaths,
 ) -> JoiningMotions:
     program = MotionProgram(
         arm.dynamics,
@@ -155,72 +163,83 @@ def _joining(
     return JoiningMotions(program, access.limits, around)
 
 
-def _held(
-    options: Sequence[PassedOption], arm: ControlledArm, q_start: FloatArray, sweeps: Sequence[PlannedSweep]
+def executable_options(
+    options: Sequence[PassedOption],
+    arm: ControlledArm,
+    costs: SweepCosts,
+    q_start: FloatArray,
+    sweeps: Sequence[PlannedSweep],
 ) -> list[PassedOption]:
-    """Return the options at whose ends the torque limits hold the arm.
+    """Return the options that the torque limits allow, each with the ways to pass its ends that they allow.
 
     Raises:
-        InfeasibleError: If they do not hold it at the start, or at no option of a sweep.
+        InfeasibleError: If they do not hold the arm at the start, or allow no option of a sweep.
     """
     arm.dynamics.check_holds(q_start, arm.max_effort, "the start")
-    held = []
+    found, least = [], dict.fromkeys(range(len(sweeps)), math.inf)
     for option in options:
-        ends = option.motions[STOPPING].position[[0, -1], :-1]
-        if np.all(np.abs(arm.dynamics.holding_torque(ends)) <= arm.max_effort):
-            held.append(option)
-    for number, sweep in enumerate(sweeps):
-        own = [option for option in options if option.sweep == number]
-        if own and not any(option.sweep == number for option in held):
-            for q in own[0].motions[STOPPING].position[[0, -1], :-1]:
-                arm.dynamics.check_holds(q, arm.max_effort, sweep.name)
-    return held
+        shares = {ends: costs.torque_share(option, motion) for ends, motion in option.motions.items()}
+        least[option.sweep] = min(least[option.sweep], shares[STOPPING])
+        if shares[STOPPING] <= 1.0:
+            found.append(
+                replace(option, motions={ends: option.motions[ends] for ends in shares if shares[ends] <= 1.0})
+            )
+    for number in sorted({option.sweep for option in options} - {option.sweep for option in found}):
+        raise InfeasibleError(
+            f"the arm's torque limits allow no way to execute {sweeps[number].name}: the easiest asks for "
+            f"{least[number]:.0%} of a limit: carry less, scan slower, or move the part"
+        )
+    return found
 
 
-class _SweepCosts:
+class SweepCosts:
     """What executing a sweep costs; branches share it among windings, and both directions cost the same."""
 
     def __init__(self, arm: ControlledArm | None) -> None:
         self._arm = arm
-        self._known: dict[tuple[int, tuple[int, int], float, bool], float] = {}
+        self._known: dict[tuple[int, tuple[int, int], float, bool], Measures] = {}
 
     def __call__(self, option: PassedOption, motion: TimedMotion) -> float:
-        if self._arm is None:
-            return motion.duration
+        return motion.duration if self._arm is None else self._measures(self._arm, option, motion).cost
+
+    def torque_share(self, option: PassedOption, motion: TimedMotion) -> float:
+        """Return the greatest share of a torque limit, 0 without an arm."""
+        return 0.0 if self._arm is None else self._measures(self._arm, option, motion).torque_share
+
+    def _measures(self, arm: ControlledArm, option: PassedOption, motion: TimedMotion) -> Measures:
         entered = bool(np.any(motion.velocity[0 if option.direction > 0 else -1]))
         key = option.sweep, option.path, motion.duration, entered
         if key not in self._known:
-            self._known[key] = self._arm.measure(motion).cost
+            self._known[key] = arm.measure(motion)
         return self._known[key]
 
 
-class _Paths:
-    """Planned paths from rest to rest, under time or under the cost of an arm; `StoppingMotions`."""
+class ControlledPaths:
+    """Planned paths from rest to rest under the cost of an arm, slowed until its torques suffice; `StoppingMotions`."""
 
-    def __init__(self, access: SweepAccess, arm: ControlledArm | None) -> None:
-        self._access, self._arm = access, arm
-        self._limits: Limits = access.limits
+    def __init__(self, paths: PathCost, arm: ControlledArm) -> None:
+        self._paths, self._arm = paths, arm
 
     def bound(self, q_a: FloatArray, q_b: FloatArray) -> FloatArray:
-        least = least_time(q_a, q_b, self._limits)
-        if self._arm is None:
-            return least
+        """Return what no motion from ``q_a`` to ``q_b``, both (..., joints), undercuts: (...)."""
+        least = self._paths.bound(q_a, q_b)
         return least_cost(self._arm.dynamics, self._arm.weights, q_a, q_b, least_time=least)
 
     def path(self, q_a: FloatArray, q_b: FloatArray) -> TimedMotion | None:
-        found = self._connection(q_a, q_b)
-        return None if found is None else found[0]
+        """Return the planned path as it is timed, torques aside."""
+        found = self._paths.motion(q_a, q_b)
+        return None if found is None else found.motion
 
     def motion(self, q_a: FloatArray, q_b: FloatArray) -> CostedMotion | None:
-        found = self._connection(q_a, q_b)
+        """Return the path at a speed that the torque limits allow, or None if there is no such path."""
+        found = self._paths.motion(q_a, q_b)
         if found is None:
             return None
-        motion, via = found
-        cost = motion.duration if self._arm is None else self._arm.measure(motion).cost
-        return CostedMotion(cost, motion, None, via)
-
-    def _connection(self, q_a: FloatArray, q_b: FloatArray) -> tuple[TimedMotion, str] | None:
-        connections = self._access.connections
-        connections.confirm(q_a, q_b)
-        found = connections.between(q_a, q_b)
-        return None if found is None else (found.motion, found.via)
+        measures, motion = self._arm.measure(found.motion), found.motion
+        if measures.torque_share > 1.0:
+            curve = checked_curve(self._arm.dynamics, self._arm.weights, self._arm.max_effort, motion)
+            if curve.fault:
+                return None
+            motion = motion.slowed(curve.slowed)
+            measures = self._arm.measure(motion)
+        return CostedMotion(measures.cost, motion, None, found.via)

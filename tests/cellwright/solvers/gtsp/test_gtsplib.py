@@ -81,6 +81,16 @@ def test_what_is_written_reads_back_the_same(seed, symmetric, whole):
     assert all(np.array_equal(a, b) for a, b in zip(again.clusters, problem.clusters))
 
 
+def test_what_stands_within_clusters_is_not_written():
+    """Nobody looks at it, but a reader would refuse what is negative."""
+    cost = np.where(np.eye(4, dtype=bool), -1.0, COST.astype(float))
+    cost[0, 1] = cost[1, 0] = -np.inf
+    cost[2, 3] = np.nan
+    problem = SequencingProblem(cost, ((0, 1), (2, 3)))
+    again = parse_gtsplib(format_gtsplib(problem))
+    assert np.array_equal(again.cost[:2, 2:], problem.cost[:2, 2:]) and not again.cost[:2, :2].any()
+
+
 ASYMMETRIC = "0 1 2 3  1 0 4 5  2 4 0 6  3 9 6 0"
 
 
@@ -138,7 +148,7 @@ def test_a_file_that_is_none_is_told(tmp_path):
     with pytest.raises(InvalidInputError, match="cannot be read"):
         read_gtsplib(tmp_path / "none.gtsp")
     (tmp_path / "binary.gtsp").write_bytes(b"\xff\xfe\x00\x81")
-    with pytest.raises(InvalidInputError, match="cannot be read as text"):
+    with pytest.raises(InvalidInputError, match=r"is not text in UTF-8 .byte 0."):
         read_gtsplib(tmp_path / "binary.gtsp")
 
 

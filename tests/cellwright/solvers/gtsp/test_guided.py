@@ -8,7 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cellwright.errors import InvalidInputError
-from cellwright.solvers.gtsp.guided import search_guided
+from cellwright.solvers.gtsp.guided import ratios, search_guided
+from cellwright.solvers.gtsp.known_costs import KnownCosts
 from cellwright.solvers.gtsp.problem import SequencingProblem
 
 
@@ -21,6 +22,12 @@ def problem(seed: int, sizes: tuple[int, ...] = (2, 3, 2, 2)):
     ends = np.cumsum([0, *sizes])
     clusters = tuple(tuple(range(a, b)) for a, b in itertools.pairwise(ends))
     return SequencingProblem(0.1 * true, clusters, rng.uniform(0.0, 1.0, n)), true
+
+
+def guided(bounds, guess, evaluate, *, symmetric: bool = True, **limits):
+    """What guesses lead to, and what is known then."""
+    known = KnownCosts(bounds, evaluate, symmetric=symmetric)
+    return search_guided(known, guess, np.random.default_rng(0), **limits), known
 
 
 def cheapest(given: SequencingProblem, true: np.ndarray) -> float:
@@ -38,9 +45,7 @@ def cheapest(given: SequencingProblem, true: np.ndarray) -> float:
 def test_guesses_that_are_never_too_high_lead_to_the_cheapest(seed):
     bounds, true = problem(seed)
     low = true * np.random.default_rng(seed + 1).uniform(0.8, 1.0, true.shape)
-    found = search_guided(
-        bounds, np.minimum(low, low.T), lambda a, b: true[a, b], np.random.default_rng(0), symmetric=True
-    )
+    found, _ = guided(bounds, np.minimum(low, low.T), lambda a, b: true[a, b])
     assert found.settled and found.cost == pytest.approx(cheapest(bounds, true))
 
 
@@ -52,34 +57,41 @@ def test_good_guesses_spare_evaluations_that_weak_bounds_ask_for():
         asked.append((a, b))
         return float(true[a, b])
 
-    found = search_guided(bounds, 0.95 * true, evaluate, np.random.default_rng(0), symmetric=True)
-    assert found.settled and len(set(asked)) == len(asked) < 0.2 * true.size
-    assert np.array_equal(found.known[found.evaluated], true[found.evaluated])
-    assert np.array_equal(found.known[~found.evaluated], bounds.cost[~found.evaluated])
+    found, known = guided(bounds, 0.95 * true, evaluate)
+    assert found.settled and len(set(asked)) == len(asked) == known.n_evaluated < 0.2 * true.size
+    assert np.array_equal(known.cost[known.evaluated], true[known.evaluated])
+    assert np.array_equal(known.cost[~known.evaluated], bounds.cost[~known.evaluated])
+    assert ratios(known, 0.95 * true) == pytest.approx(np.full(len(asked), 1.0 / 0.95))
 
 
 def test_guesses_learn_that_they_are_too_high():
     """All motions cost 0.6 of what is guessed: those evaluated first must not hide the others."""
     bounds, true = problem(5, (3,) * 6)
-    found = search_guided(bounds, true / 0.6, lambda a, b: true[a, b], np.random.default_rng(0), symmetric=True)
-    exact = search_guided(bounds, true, lambda a, b: true[a, b], np.random.default_rng(0), symmetric=True)
+    found, _ = guided(bounds, true / 0.6, lambda a, b: true[a, b])
+    exact, _ = guided(bounds, true, lambda a, b: true[a, b])
     assert found.cost == pytest.approx(exact.cost)
 
 
 def test_a_limit_on_evaluations_still_gives_a_sequence():
     bounds, true = problem(1)
-    found = search_guided(bounds, true, lambda a, b: true[a, b], np.random.default_rng(0), max_evaluations=1)
-    assert len(found.nodes) == 4 and found.cost >= cheapest(bounds, true) - 1e-9
+    found, known = guided(bounds, true, lambda a, b: true[a, b], symmetric=False, max_evaluations=1)
+    assert known.n_evaluated == len(found.nodes) == 4 and found.cost >= cheapest(bounds, true) - 1e-9
 
 
 def test_motions_that_do_not_exist_are_gone_around():
     bounds, true = problem(2)
     true[0, :] = true[:, 0] = np.inf
-    found = search_guided(bounds, 0.5 * bounds.cost, lambda a, b: true[a, b], np.random.default_rng(0), symmetric=True)
+    found, _ = guided(bounds, 0.5 * bounds.cost, lambda a, b: true[a, b])
     assert np.isfinite(found.cost) and 0 not in found.nodes
 
 
 def test_guesses_of_another_shape_are_refused():
     bounds, _ = problem(0)
     with pytest.raises(InvalidInputError, match="guesses"):
-        search_guided(bounds, np.zeros((2, 2)), lambda a, b: 1.0, np.random.default_rng(0))
+        guided(bounds, np.zeros((2, 2)), lambda a, b: 1.0)
+
+
+def test_a_true_cost_below_its_bound_is_told():
+    bounds, true = problem(0)
+    with pytest.raises(InvalidInputError, match="its lower bound is"):
+        guided(bounds, true, lambda a, b: 0.05 * true[a, b])

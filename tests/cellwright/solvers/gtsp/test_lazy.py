@@ -10,7 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cellwright.errors import InfeasibleError, InvalidInputError
-from cellwright.solvers.gtsp.lazy import solve_lazily, velocity_bounds
+from cellwright.solvers.gtsp.known_costs import KnownCosts
+from cellwright.solvers.gtsp.lazy import solve_known, solve_lazily, velocity_bounds
 from cellwright.solvers.gtsp.problem import SequencingProblem
 from cellwright.solvers.sequencing import solve_sequence
 from tests.cellwright.solvers.sequencing_problems import PAPER_ALTERNATIVES, groups, robot_problem
@@ -54,6 +55,18 @@ def test_few_motions_of_a_larger_problem_are_evaluated():
     assert lazy.share_evaluated < 0.01
 
 
+@pytest.mark.parametrize("seed", range(2))
+def test_a_hundredth_of_the_motions_finds_what_all_of_them_find(seed):
+    """Ten tasks of sixteen to twenty-four alternatives; bounds are up to a tenth low."""
+    problem, least = robot_problem(seed, (16, 20, 24, 18, 22, 16, 20, 24, 18, 22), noise=0.1)
+    lazy, asked = lazily(problem, least)
+    full = solve_sequence(problem, rng())
+    assert lazy.n_motions > 30_000 and len(asked) == lazy.n_evaluated
+    assert lazy.share_evaluated <= 0.01
+    assert lazy.result.proven and full.proven
+    assert lazy.result.cost == pytest.approx(full.cost, rel=1e-9)
+
+
 def test_motions_that_cost_the_same_backwards_are_evaluated_once():
     problem, least = robot_problem(1, (4, 4, 4, 4, 4))
     both = SequencingProblem(np.maximum(problem.cost, problem.cost.T), problem.clusters, problem.service)
@@ -92,6 +105,57 @@ def test_a_limit_of_evaluations_leaves_an_honest_gap():
     assert lazy.result.stopped_by in ("evaluations", "proof")
     full = solve_sequence(problem, rng())
     assert lazy.result.lower_bound <= full.cost + 1e-9 <= lazy.result.cost + 2e-9
+
+
+@pytest.mark.parametrize("limits", [{"max_evaluations": 5}, {"stop": lambda: True}])
+def test_limits_hold_where_no_sequence_exists(limits):
+    """One task cannot be left by any motion: without a limit, all motions into it have to be evaluated."""
+    problem, least = robot_problem(6, (8, 9, 7, 8, 9, 10, 8, 9))
+    cost = problem.cost.copy()
+    cost[problem.clusters[3]] = np.inf
+    gone = SequencingProblem(cost, problem.clusters, problem.service)
+    asked = []
+
+    def evaluate(a, b):
+        asked.append((a, b))
+        return float(gone.cost[a, b])
+
+    with pytest.raises(InfeasibleError, match=r"limit of .* was met, .* evaluated: allow more"):
+        solve_lazily(SequencingProblem(least, gone.clusters, gone.service), evaluate, rng(), **limits)
+    assert len(asked) <= 5 + 8
+
+
+def test_a_sequence_to_begin_with_is_kept_where_others_have_missing_ways():
+    problem, least = robot_problem(4, (3, 4, 3, 4, 3))
+    nodes = [0, 3, 7, 10, 14]
+    cost = np.full(problem.cost.shape, np.inf)
+    for a, b in problem.legs(nodes):
+        cost[a, b] = problem.cost[a, b]
+    known = KnownCosts(SequencingProblem(least, problem.clusters, problem.service), lambda a, b: float(cost[a, b]))
+    lazy = solve_known(known, rng(), start=nodes, max_evaluations=5)
+    assert known.n_evaluated == lazy.n_evaluated == 5 and lazy.result.stopped_by == "evaluations"
+    assert sorted(lazy.result.nodes.tolist()) == nodes and lazy.result.cost == pytest.approx(problem.cost_of(nodes))
+    everything = solve_known(known, rng(), start=nodes)
+    assert everything.result.proven and sorted(everything.result.nodes.tolist()) == nodes
+    with pytest.raises(InvalidInputError, match="begin with does not fit"):
+        solve_known(known, rng(), start=[0, 1])
+
+
+def test_what_is_known_before_is_not_asked_for_again():
+    problem, least = robot_problem(1, (4, 4, 4, 4, 4))
+    first, asked = lazily(problem, least)
+    again = []
+
+    def evaluate(a, b):
+        again.append((a, b))
+        return float(problem.cost[a, b])
+
+    known = KnownCosts(SequencingProblem(least, problem.clusters, problem.service), evaluate)
+    for a, b in asked:
+        known.put(a, b, float(problem.cost[a, b]))
+    lazy = solve_known(known, rng(), start=first.result.nodes)
+    assert not again and known.n_evaluated == 0 and lazy.result.proven
+    assert lazy.result.cost == pytest.approx(first.result.cost)
 
 
 def test_a_time_limit_returns_an_evaluated_sequence():

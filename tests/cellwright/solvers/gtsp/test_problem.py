@@ -5,7 +5,7 @@ import pytest
 
 from cellwright.errors import InfeasibleError, InvalidInputError
 from cellwright.solvers.gtsp.form import tour_form
-from cellwright.solvers.gtsp.problem import SequencingProblem, ancestors, costs_between
+from cellwright.solvers.gtsp.problem import SequencingProblem, ancestors
 from tests.cellwright.solvers.sequencing_problems import groups, uniform_problem
 
 SQUARE = np.ones((4, 4))
@@ -95,19 +95,6 @@ def test_a_cluster_that_no_way_leads_into_is_named():
     cost[:, 2:4] = np.inf
     with pytest.raises(InfeasibleError, match="no way leads into cluster 1"):
         tour_form(SequencingProblem(cost, groups([2, 2, 2])))
-
-
-def test_a_callable_gives_the_same_matrix_and_half_of_it_if_symmetric():
-    asked = []
-
-    def evaluate(a, b):
-        asked.append((a, b))
-        return float(a + b)
-
-    cost = costs_between(evaluate, TWO, symmetric=True)
-    assert sorted(asked) == [(0, 2), (0, 3), (1, 2), (1, 3)]
-    assert cost[3, 0] == cost[0, 3] == 3.0 and np.isinf(cost[0, 1])
-    assert np.array_equal(costs_between(evaluate, TWO), cost)
 
 
 @pytest.mark.parametrize("fields", [{}, {"closed": False}, {"start": 1}, {"closed": False, "start": 2, "end": 0}])

@@ -2,10 +2,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from cellwright.solvers.hermite import position_extremes
 from cellwright.solvers.optimal_control.checked_motion import SAMPLES, checked_curve
-from cellwright.solvers.optimal_control.program import CostWeights
+from cellwright.solvers.optimal_control.program import CostWeights, MotionProgram
 from cellwright.solvers.optimal_control.settled_motion import free_motion
 from cellwright.solvers.path_timing import Limits, TimedMotion, time_straight
 from tests.cellwright.solvers.optimal_control.planar_arm import dynamics_of, program_of
@@ -64,3 +66,36 @@ def test_a_motion_that_begins_at_a_limit_does_not_swing_beyond_it() -> None:
     curve = found.curve.motion
     low, high = position_extremes(curve.time, curve.position, curve.velocity)
     assert (low >= DYNAMICS.lower - 1e-9).all() and (high <= DYNAMICS.upper + 1e-9).all()
+
+
+def test_an_arm_thrown_through_a_pose_that_it_cannot_hold_is_a_fault_once_it_is_too_slow() -> None:
+    # at 80 N m the stretched arm cannot be held; slowing the swing, which its speeds ask for, takes it there
+    effort = DYNAMICS.max_effort.copy()
+    effort[1] = 80.0
+    program = MotionProgram(DYNAMICS, CostWeights(1.0, 1e-6, 0.0), n_steps=20, max_effort=effort)
+    q_a, q_b = np.zeros(6), np.zeros(6)
+    q_a[1], q_b[1] = -1.57, 1.57
+    found = free_motion(program, q_a, q_b)
+    assert found.discrete.converged
+    assert np.abs(DYNAMICS.holding_torque(found.curve.motion.position)[:, 1]).max() > 1.2 * effort[1]
+    assert "to hold the arm on the way" in found.fault
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    duration=st.floats(0.3, 3.0),
+    share=st.floats(0.15, 1.0),
+    turn=st.lists(st.floats(-1.5, 1.5), min_size=6, max_size=6),
+    back=st.floats(-1.0, 1.0),
+)
+def test_a_motion_without_fault_keeps_all_torque_limits(
+    duration: float, share: float, turn: list[float], back: float
+) -> None:
+    q = np.stack([Q_A, Q_A + back * np.array(turn), Q_A + np.array(turn)])
+    velocity = np.zeros((3, 6))
+    velocity[1] = (q[2] - q[0]) / duration
+    motion = TimedMotion(np.array([0.0, 0.4, 1.0]) * duration, q, velocity, np.zeros((3, 6)))
+    effort = share * DYNAMICS.max_effort
+    curve = checked_curve(DYNAMICS, WEIGHTS, effort, motion)
+    if not curve.fault:
+        assert np.all(np.abs(curve.torque) <= effort * (1.0 + 1e-6))

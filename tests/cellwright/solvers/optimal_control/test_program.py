@@ -150,3 +150,17 @@ def test_bad_questions_are_refused() -> None:
         CostWeights(time=0.0)
     with pytest.raises(InvalidInputError, match="weight effort is -1"):
         CostWeights(effort=-1.0)
+
+
+def test_a_program_with_other_steps_keeps_all_else() -> None:
+    limits = np.full(6, 4.0)
+    own = MotionProgram(
+        dynamics_of("ur10e"), CostWeights(2.0, 1e-5, 0.1), n_steps=6, max_effort=limits * 50.0, max_acceleration=limits,
+        reserve=(0.1, 0.2), most_iterations=123,
+    )  # fmt: skip
+    twice = own.with_steps(12)
+    assert twice.n_steps == 12 and own.n_steps == 6
+    for name in ("max_effort", "max_acceleration"):
+        assert np.array_equal(getattr(twice, name), getattr(own, name))
+    for name in ("weights", "reserve", "bound_nodes", "_most_iterations", "dynamics"):
+        assert getattr(twice, name) == getattr(own, name)

@@ -119,6 +119,42 @@ def test_a_known_sequence_is_never_beaten_by_a_dearer_one() -> None:
     assert hasty.cost <= best.cost + 1e-9
 
 
+class GainingLate(Joining):
+    """Ways around gain the more, the more of them were sought: so does the last one."""
+
+    def __init__(self) -> None:
+        self.asked = 0
+
+    def bound(self, a, b):
+        return 0.1 * np.linalg.norm(b.q - a.q, axis=-1)
+
+    def direct(self, a, b):
+        return None
+
+    def around(self, a, b):
+        self.asked += 1
+        share = max(0.2, 1.05 - 0.02 * self.asked)
+        return CostedMotion(share * float(np.linalg.norm(b.q - a.q)), motion(a.q, b.q), None, "optimal control")
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_the_bound_holds_over_the_motions_found_though_the_last_refinement_gains(seed: int) -> None:
+    legs = legs_of(made_up(seed, 5), GainingLate())
+    found = solved(legs, 5, False)
+    least = brute_force(legs, 5, False)
+    assert found.lower_bound <= least + 1e-9 <= found.cost + 2e-9
+    assert found.proven and found.cost == pytest.approx(least, abs=1e-9)
+
+
+@pytest.mark.parametrize("returns", [False, True])
+@pytest.mark.parametrize("most", [1, 20])
+def test_the_limit_on_motions_holds_for_all_refinements_together(most: int, returns: bool) -> None:
+    legs = legs_of(made_up(2, 5), GainingLate())
+    found = solved(legs, 5, returns, max_motions=most)
+    assert found.n_evaluated == len(legs.found) <= most + 6 + returns
+    assert found.lower_bound <= found.cost
+
+
 def test_options_that_collide_are_not_executed() -> None:
     options = made_up(0, 3)
     legs = SweepLegs(
