@@ -74,7 +74,7 @@ def four(n_starts: int) -> list[bool]:
     )
     cycles = np.array([s.cycle_time_s if s.converged else np.inf for _, s in ours])
     best = min([*cycles, *(s.cycle_time_s for _, s in paper if s.converged)])
-    fives = cycles[: n_starts // 5 * 5].reshape(-1, 5).min(axis=1)
+    fives = cycles[: n_starts // 5 * 5].reshape(-1, 5).min(axis=1) if n_starts >= 5 else cycles.min(keepdims=True)
     return [
         told("four stations, direct", paper, ">= 28/30, <= 2.5 s", theirs >= n_starts * 28 / 30 and paper_cpu <= 2.5),
         told(

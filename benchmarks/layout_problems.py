@@ -13,7 +13,8 @@ from cellwright.cell.built_in_robots import built_in_robot
 from cellwright.cell.harness import DesignJoint, Harness, X, Z, fixed
 from cellwright.cell.serial_arm import SerialArm
 from cellwright.cell.transforms import pose
-from cellwright.solvers.layout.examples import DOWN, box_hull
+from cellwright.solvers.layout.bodies import box_hull
+from cellwright.solvers.layout.examples import DOWN
 from cellwright.solvers.layout.problem import (
     Approach,
     LayoutProblem,

@@ -47,7 +47,9 @@ def solvers_of(problem: LayoutProblem, swarm: SwarmSettings) -> dict[str, Solver
 
     found: dict[str, Solver] = {"integrated, staged": integrated}
     found |= {f"proxy: {proxy.value}": by(proxy) for proxy in Proxy}
-    found["iterative"] = lambda rng: solve_iteratively(symbols, None, rng, IterativeSettings(swarm=swarm))
+    found["iterative"] = lambda rng: solve_iteratively(
+        symbols, None, rng, IterativeSettings(swarm=swarm, n_processes=1)
+    )
     return found
 
 

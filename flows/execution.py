@@ -11,6 +11,7 @@ from __future__ import annotations
 import difflib
 import functools
 import importlib
+import os
 import platform
 import threading
 import time
@@ -219,11 +220,11 @@ def run_in_lake(
             recorder.making()
         watcher.started(name)
         artefacts = [_loaded(lake, refs) for refs in given.values()]
-        begun, worked = time.monotonic(), time.process_time()
+        begun, worked = time.monotonic(), _processor_s()
         artefact = _computed(stage, artefacts, checked, name)
         seconds = round(time.monotonic() - begun, 6)
-        # of the whole process: right where no other stage ran beside this one
-        cpu_seconds = round(time.process_time() - worked, 6)
+        # of the whole process and those that it began: right where no other stage ran beside this one
+        cpu_seconds = round(_processor_s() - worked, 6)
         made = {
             "seconds": seconds,
             "cpu_seconds": cpu_seconds,
@@ -263,6 +264,12 @@ def run_patiently(run: Callable[[], Outcome]) -> Outcome:
         except LakeError:
             time.sleep(RETRY_DELAY_S)
     return run()
+
+
+def _processor_s() -> float:
+    """Return the processor time of this process and of those that it began and has waited for."""
+    times = os.times()
+    return time.process_time() + times.children_user + times.children_system
 
 
 def _found_or_made(lake: Lake, key: str, make: Callable[[], Ref], refresh: bool) -> Ref:

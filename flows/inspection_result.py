@@ -93,6 +93,8 @@ def _order_words(figures: Mapping[str, Any]) -> str:
 
 def _placement_words(placement: Mapping[str, Any]) -> str:
     before, after = placement["cycle_before_s"], placement["cycle_after_s"]
+    if placement["refusal"]:
+        return f"kept: {placement['reason']}"
     if not placement["moved"]:
         return f"kept, no better one of {placement['designs_judged']:,} judged"
     return f"{placement['moves']} moved, {placement['words']}: {before:.2f} s before ({after / before - 1.0:+.1%})"

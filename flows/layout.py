@@ -6,14 +6,15 @@ that misses its gate is an error; a study may ask for the attempt instead (``att
 
 from __future__ import annotations
 
+import contextlib
 import uuid
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import tasks
-from cellwright.errors import InfeasibleError
+from cellwright.errors import InfeasibleError, InvalidInputError
 from flows.caches import use_own_caches
 from flows.execution import Watcher, open_lake
 from flows.layout_requests import LayoutRequest, layout_request
@@ -57,10 +58,10 @@ def run(
     """
     use_own_caches()
     file = load_layout_file(layout_file, overrides) if isinstance(layout_file, Path) else layout_file
-    request = layout_request(file)
     if out is not None:
         prepare_folder(out)
-    with watched(watcher):
+    with _naming(file.path), watched(watcher):
+        request = layout_request(file)
         if direct:
             result = optimise_and_report(request, lake, refresh, uuid.uuid4().hex, direct=True, attempt=attempt)
         else:
@@ -70,6 +71,19 @@ def run(
     if out is not None and not attempt:
         result.files.update(export(open_lake(lake), result, out))
     return result
+
+
+@contextlib.contextmanager
+def _naming(path: Path) -> Iterator[None]:
+    """Name the layout file in what is wrong with it: stages know its content only."""
+    try:
+        yield
+    except (InvalidInputError, InfeasibleError) as error:
+        if str(path) in str(error):
+            raise
+        told = type(error)(f"{path}: {error}")
+        vars(told).update(vars(error))  # its notes
+        raise told from error
 
 
 def optimise_and_report(
@@ -90,6 +104,8 @@ def plan_layout(step: Steps, request: LayoutRequest, lake: Lake, *, attempt: boo
     Raises:
         InfeasibleError: If no start passed its gate, unless an ``attempt`` is asked for.
     """
+    for note in request.notes:
+        step.note(note)
     urdf = None if request.urdf is None else step(tasks.read_source, request.urdf, label=request.urdf.name)
     meshes = tuple(step(tasks.read_source, source, label=source.name) for source in request.robot_files)
     bodies = tuple(step(tasks.read_source, source, label=source.name) for source in request.body_files)
@@ -104,7 +120,7 @@ def plan_layout(step: Steps, request: LayoutRequest, lake: Lake, *, attempt: boo
         return made
     found: Any = lake.load(layout.ref())
     if not found.converged:
-        raise InfeasibleError(refusal_of(found))
+        raise InfeasibleError(refusal_of(found, sought=request.layout.extras))
     recording = step(tasks.record_layout, request.recording, files=(*meshes, *bodies), layout=layout, **given)
     report = step(tasks.write_layout_report, request.report, layout=layout, **given)
     return {**made, "recording": recording, "report": report}

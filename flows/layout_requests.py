@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from collections.abc import Sequence
+from typing import Any
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from cellwright.cell.built_in_robots import built_in_digest
-from cellwright.cell.part import METRES_PER_UNIT
-from cellwright.cell.urdf_geometry import mesh_references, resolve_mesh
 from cellwright.errors import InvalidInputError, listed
+from cellwright.solvers.layout.bodies import box_hull, workspace_walls
+from flows.mesh_sources import all_robot_meshes, metres_per_unit, robot_meshes
 from schemas.body_params import BodyParams, BoxBody, CapsuleBody, CylinderBody, MeshBody, SphereBody
 from schemas.cell_file_fields import MeshSection
-from schemas.layout_file import LayoutFile
-from schemas.layout_file_sections import HullSection, JointQuantity, LayoutObstacleSection, StationSection
+from schemas.layout_file import TOOL, LayoutFile
+from schemas.layout_file_hulls import HullSection, LayoutObstacleSection
+from schemas.layout_file_sections import ApproachSection, JointQuantity, StationSection
 from schemas.layout_params import (
     ApproachParams,
     ArmParams,
@@ -23,6 +26,7 @@ from schemas.layout_params import (
     PlacedHull,
     RobotSphereParams,
     StationParams,
+    ToolHullParams,
     Vector,
     WallParams,
 )
@@ -52,6 +56,7 @@ class LayoutRequest(BaseModel):
     layout: LayoutParams
     recording: LayoutRecordingParams
     report: LayoutReportParams
+    notes: tuple[str, ...] = Field(default=(), description="What the person should know beforehand.")
 
 
 def layout_request(file: LayoutFile) -> LayoutRequest:
@@ -76,7 +81,7 @@ def _request(file: LayoutFile) -> LayoutRequest:
     problem = _problem(file, bodies)
     urdf = None if file.robot.urdf is None else SourceParams.of(file.robot.urdf)
     links = file.robot.hull.model == "links"
-    robot_files = () if file.robot.urdf is None else _meshes(file, file.robot.urdf, required=links)
+    robot_files, notes = _robot_files(file)
     solver = file.solver
     hull = None
     if links:
@@ -103,8 +108,9 @@ def _request(file: LayoutFile) -> LayoutRequest:
             extras=solver.extras,
             seed=solver.seed,
         ),
-        recording=LayoutRecordingParams(problem=problem, bodies=tuple(bodies.shown)),
+        recording=LayoutRecordingParams(problem=problem, bodies=tuple(bodies.shown), show_robot=not notes),
         report=LayoutReportParams(problem=problem, title=file.name, template_sha256=template_digest()),
+        notes=notes,
     )
 
 
@@ -123,6 +129,7 @@ def _problem(file: LayoutFile, bodies: _Bodies) -> LayoutProblemParams:
         spheres=RobotSphereParams(
             model=hull.model,
             self_collision=hull.self_collision,
+            tool=_tool(robot.tool_hull, bodies),
             tool_radius_m=hull.tool_radius_m,
             base_radius_m=hull.base_radius_m,
         ),
@@ -171,11 +178,9 @@ def _walls(file: LayoutFile) -> list[WallParams]:
     box = file.workspace
     if box is None:
         return walls
-    axes: tuple[Vector, ...] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
-    for axis, (x, y, z), low, high in zip("xyz", axes, box.min_m, box.max_m):
-        for end, normal, offset in (("min", (x, y, z), low), ("max", (-x, -y, -z), -high)):
-            name = f"workspace {axis} {end}"
-            walls.append(WallParams(name=name, normal=normal, offset_m=offset, holds_robot=box.holds_robot))
+    for wall in workspace_walls(np.array(box.min_m), np.array(box.max_m), holds_robot=box.holds_robot):
+        x, y, z = wall.normal.tolist()
+        walls.append(WallParams(name=wall.name, normal=(x, y, z), offset_m=wall.offset_m, holds_robot=wall.holds_robot))
     return walls
 
 
@@ -207,8 +212,7 @@ class _Bodies:
         # named after the body, so that meshes of one name from different folders do not meet
         file = f"{name}: {mesh.file.name}"
         self.sources[file] = SourceParams.of(mesh.file).model_copy(update={"name": file})
-        carries_unit = mesh.file.suffix.lower() in (".step", ".stp", ".3mf")
-        factor = mesh.scale * (1.0 if carries_unit else METRES_PER_UNIT[mesh.unit or "mm"])
+        factor = mesh.scale * metres_per_unit(mesh.file, mesh.unit)
         return MeshBody(name=name, pose=pose, file=file, scale=(factor, factor, factor))
 
     def cover(self, body: BodyParams, n_spheres: int) -> PlacedHull:
@@ -224,24 +228,7 @@ class _Bodies:
 
 def _station(station: StationSection, bodies: _Bodies) -> StationParams:
     T = station.pose.matrix()
-    hulls: list[PlacedHull] = []
-    centres: list[Vector] = []
-    radii: list[float] = []
-    for number, hull in enumerate(station.hull, 1):
-        name = station.name if len(station.hull) == 1 else f"{station.name} {number}"
-        placed = hull.pose.pose()
-        if hull.spheres is not None:
-            balls = [(ball.centre_m, ball.radius_m) for ball in hull.spheres]
-            _put(balls, hull, centres, radii)
-            continue
-        body = bodies.body(name, hull, placed)
-        bodies.shown.append(ShownBody(station=station.name, body=body))
-        if hull.sphere is not None:
-            _put([((0.0, 0.0, 0.0), hull.sphere.radius_m)], hull, centres, radii)
-        elif hull.cells is not None and hull.box is not None:
-            _put(_cells(hull.box.size_m, hull.cells), hull, centres, radii)
-        else:
-            hulls.append(bodies.cover(body, hull.count))
+    hulls, centres, radii = _hulls(station.name, station.name, station.hull, bodies)
     return StationParams(
         name=station.name,
         harness=(
@@ -249,39 +236,61 @@ def _station(station: StationSection, bodies: _Bodies) -> StationParams:
             if station.harness is None
             else HarnessParams.of(station.harness.harness(T))
         ),
-        hulls=tuple(hulls),
-        centre_m=tuple(centres),
-        radius_m=tuple(radii),
-        approaches=tuple(
-            ApproachParams(
-                name=approach.name or "",
-                T_station_tool=tuple(Pose.of(pose) for pose in approach.poses()),
-                target=approach.target,
-                speed_m_s=approach.speed_m_s,
-            )
-            for approach in station.approaches
-        ),
+        hulls=hulls,
+        centre_m=centres,
+        radius_m=radii,
+        approaches=tuple(_approach(each) for each in station.approaches),
     )
 
 
-def _put(balls: list[tuple[Vector, float]], hull: HullSection, centres: list[Vector], radii: list[float]) -> None:
-    """Add spheres of a hull's frame to those of its station."""
+def _approach(approach: ApproachSection) -> ApproachParams:
+    turn = {} if approach.turn_speed_rad_s is None else {"turn_rad_s": approach.turn_speed_rad_s}
+    return ApproachParams(
+        name=approach.name or "",
+        T_station_tool=tuple(Pose.of(pose) for pose in approach.poses()),
+        target=approach.target,
+        speed_m_s=approach.speed_m_s,
+        **turn,
+    )
+
+
+def _tool(sections: Sequence[HullSection], bodies: _Bodies) -> ToolHullParams:
+    hulls, centres, radii = _hulls(TOOL, None, sections, bodies)
+    return ToolHullParams(hulls=hulls, centre_m=centres, radius_m=radii)
+
+
+def _hulls(
+    owner: str, station: str | None, sections: Sequence[HullSection], bodies: _Bodies
+) -> tuple[tuple[PlacedHull, ...], tuple[Vector, ...], tuple[float, ...]]:
+    """Return the hulls to be fitted, and centres and radii of the spheres that are given; ``station`` carries them."""
+    hulls: list[PlacedHull] = []
+    centres: list[Vector] = []
+    radii: list[float] = []
+    for number, hull in enumerate(sections, 1):
+        name = owner if len(sections) == 1 else f"{owner} {number}"
+        if hull.spheres is not None:
+            balls = [(ball.centre_m, ball.radius_m) for ball in hull.spheres]
+            _put(balls, hull, centres, radii)
+            continue
+        body = bodies.body(name, hull, hull.pose.pose())
+        bodies.shown.append(ShownBody(station=station, body=body))
+        if hull.sphere is not None:
+            _put([((0.0, 0.0, 0.0), hull.sphere.radius_m)], hull, centres, radii)
+        elif hull.cells is not None and hull.box is not None:
+            cells = box_hull(hull.box.size_m, hull.cells, np.zeros(3))
+            _put(list(zip(cells.centres.tolist(), cells.radii.tolist())), hull, centres, radii)
+        else:
+            hulls.append(bodies.cover(body, hull.count))
+    return tuple(hulls), tuple(centres), tuple(radii)
+
+
+def _put(balls: Sequence[tuple[Any, float]], hull: HullSection, centres: list[Vector], radii: list[float]) -> None:
+    """Add spheres of a hull's frame to those of what carries it."""
     T = hull.pose.matrix()
     for centre, radius in balls:
         x, y, z = (T[:3, :3] @ centre + T[:3, 3]).tolist()
         centres.append((x, y, z))
         radii.append(radius)
-
-
-def _cells(size_m: Vector, cells: tuple[int, int, int]) -> list[tuple[Vector, float]]:
-    """Return a sphere about each cell of a box that is centred on its frame."""
-    edges = [length / number for length, number in zip(size_m, cells)]
-    radius = 0.5 * sum(edge**2 for edge in edges) ** 0.5
-    xs, ys, zs = (
-        [(place + 0.5) * edge - 0.5 * length for place in range(number)]
-        for edge, length, number in zip(edges, size_m, cells)
-    )
-    return [((x, y, z), radius) for x in xs for y in ys for z in zs]
 
 
 def _obstacle(obstacle: LayoutObstacleSection, bodies: _Bodies) -> StationParams:
@@ -294,22 +303,19 @@ def _obstacle(obstacle: LayoutObstacleSection, bodies: _Bodies) -> StationParams
     return StationParams(name=obstacle.name, harness=harness, hulls=(bodies.cover(body, obstacle.count),))
 
 
-def _meshes(file: LayoutFile, urdf: Path, *, required: bool) -> tuple[SourceParams, ...]:
-    """Return the meshes that a URDF names, each once; none if they are not needed and not all there."""
-    try:
-        paths = [
-            resolve_mesh(reference, urdf.parent, file.robot.packages)
-            for reference in mesh_references(urdf.read_text("utf-8"))
-        ]
-    except InvalidInputError as error:
-        if not required:
-            return ()
-        raise InvalidInputError(
-            f"{urdf}: {error}; or write robot.hull: {{model: point}}, which needs no meshes"
-        ) from error
-    sources: dict[str, SourceParams] = {}
-    for path in paths:
-        mesh = SourceParams.of(path)
-        if sources.setdefault(mesh.name, mesh).sha256 != mesh.sha256:
-            raise InvalidInputError(f"{urdf} names two different meshes called {mesh.name}: rename one of them")
-    return tuple(sources.values())
+def _robot_files(file: LayoutFile) -> tuple[tuple[SourceParams, ...], tuple[str, ...]]:
+    """Return the meshes of the robot's URDF, and what the person should know of those that are missing.
+
+    With the tool's point alone no solver needs them: where one is missing the recording goes without the robot.
+    """
+    robot = file.robot
+    if robot.urdf is None:
+        return (), ()
+    if robot.hull.model == "links":
+        mend = "or write robot.hull: {model: point}, which needs no meshes"
+        return all_robot_meshes(robot.urdf, robot.packages, mend), ()
+    found = robot_meshes(robot.urdf, robot.packages)
+    if not found.missing:
+        return found.sources, ()
+    more = f" and {len(found.missing) - 1} more" if len(found.missing) > 1 else ""
+    return (), (f"the recording is without the robot: {robot.urdf.name}: {found.missing[0]}{more}",)

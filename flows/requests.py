@@ -21,13 +21,13 @@ from schemas.layout_params import HarnessParams
 from schemas.placement import Placement
 from schemas.poses import Pose
 from schemas.scanner import SensingParams
+from schemas.sweep_params import StitchParams, SweepParams
 from tasks.assemble_cell import CellModelParams
 from tasks.compare_placements import ComparisonParams
 from tasks.extend_measurability import ExtensionParams
 from tasks.find_gaps import GapParams
 from tasks.find_overlaps import OverlapParams
 from tasks.fit_spheres import SphereParams
-from tasks.follow_sweeps import SweepParams
 from tasks.measure_coverage import CoverageParams
 from tasks.measure_samples import MeasurabilityParams
 from tasks.optimise_placement import PlacementParams
@@ -40,7 +40,6 @@ from tasks.sample_viewpoints import ViewpointParams
 from tasks.select_views import SetCoverParams
 from tasks.sequence_sweeps import SweepSequenceParams
 from tasks.simulate_scan import ScanParams
-from tasks.stitch_sweeps import StitchParams
 from tasks.take_sequence import TakenSequenceParams
 from tasks.trim_measurability import TrimParams
 from tasks.verify_plan import VerifyParams

@@ -7,6 +7,7 @@ offset follows a wall. `docs/layout.md` shows each.
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Annotated, Self
 
 import numpy as np
@@ -36,8 +37,10 @@ def _axis(value: object) -> object:
     if len(value) != 3:
         raise fault(f"has {len(value)} entries but a direction has 3: write x, y, z or [dx, dy, dz]")
     direction = [Quantity(quantities.NUMBER).read(entry) for entry in value]
-    if not np.linalg.norm(direction) > _SHORTEST_AXIS:
+    if not math.hypot(*direction) > _SHORTEST_AXIS:
         raise fault(f"{list(value)} has no direction: write x, y, z or one like [1, 1, 0]")
+    if not math.hypot(*direction) < 1.0 / _SHORTEST_AXIS:
+        raise fault(f"{list(value)} is too long for a direction: write x, y, z or one like [1, 1, 0]")
     return tuple(direction)
 
 
@@ -49,10 +52,17 @@ def _range(value: object, quantity: Quantity) -> tuple[float, float]:
     if len(value) != 2:
         raise fault(f"has {len(value)} entries but a range has two ends: write it like {example}")
     low, high = (quantity.read(end) for end in value)
+    factor, unit = (180.0 / np.pi, "deg") if quantity is _ANGLE else (1e3, "mm")
     if low == high:
-        raise fault(f"is empty, from {value[0]} to {value[1]}: widen it, or leave it out to hold still")
+        raise fault(
+            f"is empty, from {value[0]} to {value[1]}, 0 {unit} wide: any width above that makes it a range, or leave "
+            "it out to hold still"
+        )
     if low > high:
-        raise fault(f"is reversed, from {value[0]} to {value[1]}: write [{value[1]}, {value[0]}]")
+        raise fault(
+            f"is reversed, from {value[0]} to {value[1]}, its lower end {factor * (low - high):.6g} {unit} above its "
+            f"upper end: write [{value[1]}, {value[0]}]"
+        )
     return low, high
 
 

@@ -26,10 +26,24 @@ class RobotHull(Artefact):
     surface_covered: BoolArray = column(
         "Whether every point of the link's surface is proven to lie in a sphere", dtype="bool", table="links"
     )
+    interior: tuple[str, ...] = column(
+        "covered: no hole inside, proven; none: the link encloses nothing", dtype="str", table="links"
+    )
     coverage: FloatArray = column("Share of surface samples in a sphere", table="links")
     volume_ratio: FloatArray = column("Volume of the union over that of the link", table="links")
-    protrusion_mean_m: FloatArray = column("Mean distance of the hull's skin outside the link", unit="m", table="links")
+    volume_kind: tuple[str, ...] = column(
+        "What it compares with: enclosed (within the outer surface) or convex (hull of an open mesh)",
+        dtype="str",
+        table="links",
+    )
+    protrusion_mean_m: FloatArray = column(
+        "Mean distance of the hull's skin outside the link from it", unit="m", table="links"
+    )
+    protrusion_p95_m: FloatArray = column("95th percentile of it, by area", unit="m", table="links")
     protrusion_max_m: FloatArray = column("Largest sampled protrusion", unit="m", table="links")
+    gap_mean_m: FloatArray = column("Mean distance of surface samples from the hull, 0 in it", unit="m", table="links")
+    gap_p95_m: FloatArray = column("95th percentile of it", unit="m", table="links")
+    gap_max_m: FloatArray = column("Largest sampled gap", unit="m", table="links")
     overshoot_m: FloatArray = column("No point of the hull is further from the link: proven", unit="m", table="links")
     centre_m: FloatArray = column("Sphere centres", width=3, unit="m", frame="link", table="spheres")
     radius_m: FloatArray = column("Sphere radii", unit="m", table="spheres")
@@ -104,6 +118,12 @@ class Layout(Artefact):
     before_transition: Int32Array = column("Transition of a state before", dtype="int32", table="before_states")
     before_time_s: FloatArray = column("Time since the transition began", unit="s", table="before_states")
     before_position: FloatArray = column("Joint positions", width=ANY_WIDTH, unit="rad or m", table="before_states")
+    before_velocity: FloatArray = column(
+        "Joint velocities; NaN: constant between the states",
+        width=ANY_WIDTH,
+        unit="rad/s or m/s",
+        table="before_states",
+    )
 
     check: tuple[str, ...] = column("What the gate measured", dtype="str", table="gate")
     found: FloatArray = column("Worst value found", table="gate")

@@ -14,15 +14,17 @@ import numpy as np
 from pydantic import Field, PrivateAttr, ValidationError
 
 from cellwright.cell.built_in_robots import built_in, built_in_urdf
+from cellwright.cell.robot import LONGEST_REACH_M
 from cellwright.cell.serial_arm import SerialArm
+from cellwright.cell.urdf_geometry import check_geometry
 from cellwright.errors import InvalidInputError
 from schemas.cell_file_document import Document, Location, apply_overrides, read_document
 from schemas.cell_file_fields import Section, Text
 from schemas.cell_file_messages import did_you_mean, faults_of, refusal
+from schemas.layout_file_hulls import MOST_SPHERES_IN_ALL, LayoutObstacleSection
 from schemas.layout_file_sections import (
     CostSection,
     JointQuantity,
-    LayoutObstacleSection,
     LayoutRobotSection,
     SolverSection,
     StationSection,
@@ -34,6 +36,10 @@ FORMAT = 1
 """The version of the layout file that this release reads and writes."""
 HOME = "home"
 """The word in a sequence for the robot's home configuration."""
+TOOL = "robot tool"
+"""What a tool goes by that is no part of the URDF."""
+BASE = "robot base"
+"""What the robot's base goes by in results."""
 
 Faults = list[tuple[Location, str]]
 
@@ -155,6 +161,12 @@ def _disagreements(file: LayoutFile, document: Document) -> Faults:
     for location, pose in _poses(file):
         if len(pose.position_m) != 3:
             faults.append(((*location, "position"), "has 2 entries but needs 3: write [x, y, z]"))
+    hulls = [*file.robot.tool_hull, *(hull for station in file.stations for hull in station.hull)]
+    n_spheres = sum(hull.n_spheres for hull in hulls) + sum(each.count for each in file.obstacles)
+    if n_spheres > MOST_SPHERES_IN_ALL:
+        faults.append(
+            (("stations",), f"all hulls have {n_spheres} spheres: {MOST_SPHERES_IN_ALL} can be checked: use fewer")
+        )
     moving = [file.robot.harness, *(station.harness for station in file.stations)]
     if all(harness is None for harness in moving):
         faults.append((("stations",), "nothing can be moved: give a station or the robot a harness"))
@@ -180,6 +192,8 @@ def _name_faults(file: LayoutFile, document: Document) -> Faults:
     for location, name in named:
         if name == HOME and location[0] == "stations":
             faults.append((location, f"{HOME!r} means the robot's home configuration: choose another name"))
+        elif name in (TOOL, BASE) or name in (f"{TOOL} {number + 1}" for number in range(len(file.robot.tool_hull))):
+            faults.append((location, f"{name!r} means a part of the robot: choose another name"))
         elif name in seen:
             faults.append(
                 (location, f"{name!r} names something else too ({document.origin(seen[name])}): choose another")
@@ -232,8 +246,11 @@ def _robot_faults(file: LayoutFile) -> Faults:
     try:
         arm = file.arm()
     except InvalidInputError as error:
-        named = [key for key in ("flange_link", "base_link") if getattr(file.robot, key) is not None]
+        given_links = [(key, getattr(file.robot, key)) for key in ("flange_link", "base_link")]
+        named = [key for key, link in given_links if link is not None and f"has no link {link!r}" in str(error)]
         return [(("robot", named[0] if named else "model"), f"{Path(file.robot.model).name}: {error}")]
+    if (wrong := _size_fault(arm)) is not None:
+        return [(("robot", "model"), f"{Path(file.robot.model).name}: {wrong}")]
     given: list[tuple[Location, tuple[JointQuantity, ...] | None, str, bool]] = [
         (("robot", "home"), file.robot.home, "", False),
         (("robot", "lower"), file.robot.lower, "", True),
@@ -278,6 +295,21 @@ def _robot_faults(file: LayoutFile) -> Faults:
                 )
             )
     return faults
+
+
+def _size_fault(arm: SerialArm) -> str | None:
+    """Say what is wrong with an arm's size or the shapes of its links; a URDF in mm is the usual slip."""
+    reach = sum(float(np.linalg.norm(T[:3, 3])) for T in (*arm.T_parent_joint, arm.T_last_flange))
+    if reach > LONGEST_REACH_M:
+        return (
+            f"the arm reaches {reach:.6g} m, but {LONGEST_REACH_M:g} m is the most that can be planned: are its "
+            "lengths in mm? A URDF's are in m"
+        )
+    try:
+        check_geometry(arm.tree)
+    except InvalidInputError as error:
+        return str(error)
+    return None
 
 
 def laid_over(own: Any, given: tuple[JointQuantity, ...] | None) -> Any:

@@ -5,6 +5,7 @@ Poses of stations, walls and obstacles are in the world; those of hulls and appr
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -18,20 +19,15 @@ from cellwright.cell.built_in_robots import BUILT_IN
 from cellwright.errors import InvalidInputError
 from schemas.cell_file_fields import (
     Angle,
-    BodySection,
-    BoxSection,
+    AngularSpeed,
     Folder,
     Length,
-    MeshSection,
     NonNegativeLength,
     Number,
     PoseSection,
-    PositiveLength,
     Quantity,
-    RodSection,
     Section,
     Speed,
-    SphereSection,
     Text,
     WholeNumber,
     existing_file,
@@ -40,12 +36,12 @@ from schemas.cell_file_fields import (
 )
 from schemas.cell_file_harness import HarnessSection
 from schemas.cell_file_messages import did_you_mean
+from schemas.layout_file_hulls import HullSection
 from schemas.layout_points import read_points
 
 BUILT_IN_ARMS = {robot.name: len(robot.joint_names) for robot in BUILT_IN}
 """Robots that need no URDF, with their number of joints."""
 
-_SHAPES = ("box", "cylinder", "sphere", "capsule", "mesh", "spheres")
 _POINT_FILES = (".csv", ".txt")
 
 JointQuantity = tuple[float, str]
@@ -98,12 +94,12 @@ class RobotHullSection(Section):
     spheres: WholeNumber = Field(default=6, ge=1, le=200, description="Spheres of a link on average; with `links`.")
     self_collision: bool = Field(default=True, description="Whether links keep clear of each other too; with `links`.")
     tool_radius_m: NonNegativeLength = Field(
-        default=0.0, alias="tool_radius", description="Radius of a sphere about the tool's point; with `point`."
+        default=0.0, alias="tool_radius", description="Radius of a sphere about the tool's point."
     )
     base_radius_m: NonNegativeLength = Field(
         default=0.0,
         alias="base_radius",
-        description="Radius of a sphere that keeps stations off the robot's base, half as high; with `point`.",
+        description="Radius of a sphere that keeps stations off the robot's base, half as high.",
     )
 
 
@@ -125,6 +121,9 @@ class LayoutRobotSection(Section):
     )
     tool: PoseSection = Field(default=PoseSection(), description="Pose of the tool's point on the flange.")
     hull: RobotHullSection = Field(default=RobotHullSection(), description="What of it must not collide.")
+    tool_hull: tuple[HullSection, ...] = Field(
+        default=(), description="Solids on the flange that are no part of the URDF; they must not collide either."
+    )
     home: tuple[JointPosition, ...] | None = Field(
         default=None, description="Configuration that `home` in the sequence means.", json_schema_extra=_EACH
     )
@@ -149,47 +148,6 @@ class LayoutRobotSection(Section):
     def urdf(self) -> Path | None:
         """Path of the URDF file, ``None`` for a built-in robot."""
         return None if self.model in BUILT_IN_ARMS else Path(self.model)
-
-
-class BallSection(Section):
-    """One sphere of a hull."""
-
-    centre_m: tuple[Length, Length, Length] = Field(alias="centre", description="Centre on the station.")
-    radius_m: PositiveLength = Field(alias="radius", description="Radius.")
-
-
-class HullSection(Section):
-    """A solid that must not be touched, covered with spheres: one shape, or the spheres themselves."""
-
-    box: BoxSection | None = Field(default=None, description="A box.")
-    cylinder: RodSection | None = Field(default=None, description="A cylinder.")
-    sphere: SphereSection | None = Field(default=None, description="A sphere.")
-    capsule: RodSection | None = Field(default=None, description="A capsule.")
-    mesh: MeshSection | None = Field(default=None, description="A mesh from a file.")
-    spheres: tuple[BallSection, ...] | None = Field(default=None, description="The spheres themselves.")
-    pose: PoseSection = Field(default=PoseSection(), description="Pose of the shape on the station.")
-    count: WholeNumber = Field(default=8, ge=1, le=512, description="Spheres that cover the shape, proven to hold it.")
-    cells: tuple[WholeNumber, WholeNumber, WholeNumber] | None = Field(
-        default=None, description="Cells of a box along x, y, z, a sphere about each, instead of `count`."
-    )
-
-    @model_validator(mode="after")
-    def _one_shape(self) -> Self:
-        given = [name for name in _SHAPES if getattr(self, name) is not None]
-        if len(given) != 1:
-            found = " and ".join(given) if given else "no shape"
-            raise fault(f"a hull has {found}: give it one of {', '.join(_SHAPES)}")
-        if self.cells is not None and (self.box is None or min(self.cells) < 1):
-            raise fault("cells divide a box: give positive numbers, and only with a box")
-        if len(self.pose.position_m) != 3:
-            raise fault("pose has 2 entries in position but needs 3: write [x, y, z]")
-        return self
-
-
-class LayoutObstacleSection(BodySection):
-    """Something that stands still and is in the way."""
-
-    count: WholeNumber = Field(default=8, ge=1, le=512, description="Spheres that cover it, proven to hold it.")
 
 
 def _points_file(value: object, info: ValidationInfo) -> Path:
@@ -228,6 +186,12 @@ class ApproachSection(Section):
         alias="speed",
         description="Speed of the tool on the way, whose time then counts in the cycle.",
     )
+    turn_speed_rad_s: AngularSpeed | None = Field(
+        default=None,
+        alias="turn_speed",
+        description="How fast the tool turns on a way with a `speed`: each piece takes the longer of both times; "
+        "1 rad/s if left out.",
+    )
 
     @model_validator(mode="after")
     def _one_way(self) -> Self:
@@ -236,12 +200,20 @@ class ApproachSection(Section):
         if len(given) != 1:
             found = " and ".join(given) if given else "no pose"
             raise fault(f"an approach has {found}: give it one of {', '.join(ways)}")
-        if self.pose is not None and (self.back or self.speed_m_s is not None):
-            raise fault("a single pose is no way: remove back and speed, or write a line")
+        if self.pose is not None and (self.back or self.speed_m_s is not None or self.turn_speed_rad_s is not None):
+            raise fault("a single pose is no way: remove back, speed and turn_speed, or write a line")
+        if self.turn_speed_rad_s is not None and self.speed_m_s is None:
+            raise fault("turn_speed is given without speed, so no time counts: add speed, or remove it")
         for section in self._sections():
             if len(section.position_m) != 3:
                 raise fault("a pose has 2 entries in position but needs 3: write [x, y, z]")
-        self.poses()
+        poses = self.poses()
+        still = np.flatnonzero(np.abs(np.diff(poses, axis=0)).max(axis=(1, 2), initial=0.0) < 1e-9)
+        if self.speed_m_s is not None and len(still):
+            raise fault(
+                f"poses {still[0] + 1} and {still[0] + 2} of the way are the same, so that no time passes between "
+                "them: remove one of them, or speed"
+            )
         return self
 
     def _sections(self) -> tuple[PoseSection, ...]:
@@ -275,12 +247,15 @@ class WallSection(Section):
     name: Text = Field(description="Name of the wall.")
     normal: tuple[Number, Number, Number] = Field(description="Direction from the wall into the room.")
     offset_m: Length = Field(alias="offset", description="Distance of the wall from the origin along `normal`.")
-    holds_robot: bool = Field(default=True, description="Whether the robot's links keep off it too.")
+    holds_robot: bool = Field(
+        default=True, description="Whether the robot keeps off it too, its base if that may move."
+    )
 
     @model_validator(mode="after")
     def _directed(self) -> Self:
-        if np.linalg.norm(self.normal) < 1e-9:
-            raise fault(f"normal {list(self.normal)} has no direction: write one like [1, 0, 0]")
+        length = math.hypot(*self.normal)
+        if not 1e-9 < length < 1e9:
+            raise fault(f"normal {list(self.normal)} of length {length:.3g} has no direction: write one like [1, 0, 0]")
         return self
 
 
@@ -289,7 +264,9 @@ class WorkspaceSection(Section):
 
     min_m: tuple[Length, Length, Length] = Field(alias="min", description="Its lowest corner.")
     max_m: tuple[Length, Length, Length] = Field(alias="max", description="Its highest corner.")
-    holds_robot: bool = Field(default=True, description="Whether the robot's links stay inside too.")
+    holds_robot: bool = Field(
+        default=True, description="Whether the robot stays inside too, its base if that may move."
+    )
 
     @model_validator(mode="after")
     def _not_empty(self) -> Self:
@@ -317,7 +294,9 @@ class CostSection(Section):
         json_schema_extra=_EACH,
     )
     worst_case: bool = Field(default=False, description="Add the joints' errors up instead of their variances.")
-    along_path: bool = Field(default=False, description="Count on the transitions too, not at the approaches alone.")
+    along_path: bool = Field(
+        default=False, description="Mean over the time of the cycle, not over the approaches alone."
+    )
 
     @model_validator(mode="after")
     def _deviation_for_repeatability(self) -> Self:
@@ -352,4 +331,6 @@ class SolverSection(Section):
         description="Time the layout where it began too, and look for the smallest relaxation where none is found; "
         "studies leave both out to time the solver alone.",
     )
-    clearance_m: NonNegativeLength = Field(default=0.0, alias="clearance", description="Distance kept between spheres.")
+    clearance_m: NonNegativeLength = Field(
+        default=0.0, alias="clearance", description="Distance between bodies, and from the moving robot to walls."
+    )

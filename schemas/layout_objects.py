@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,10 +23,11 @@ from cellwright.solvers.layout.problem import (
     TargetKind,
     Visit,
     Wall,
+    end_effector_point,
 )
 from cellwright.solvers.layout.solution import Transition
 from schemas.layout import Layout, RobotHull
-from schemas.layout_params import ArmParams, LayoutProblemParams, StationParams
+from schemas.layout_params import ArmParams, LayoutProblemParams, PlacedHull, StationParams, Vector
 from schemas.sources import SourceFile
 from schemas.sphere_hull import SphereHull
 
@@ -86,7 +88,7 @@ def build_problem(
         params.cyclic,
         params.base.harness(),
         T_flange_tool,
-        _robot_spheres(params, arm, T_flange_tool, robot),
+        _robot_spheres(params, arm, T_flange_tool, robot, hulls),
         tuple(Wall(wall.name, np.array(wall.normal), wall.offset_m, wall.holds_robot) for wall in params.walls),
         None if params.home_q is None else np.array(params.home_q),
         params.clearance_m,
@@ -95,59 +97,126 @@ def build_problem(
 
 
 def _station(params: StationParams, hulls: SphereHull | None) -> Station:
-    centres, radii = [np.array(params.centre_m, float).reshape(-1, 3)], [np.array(params.radius_m, float)]
-    for placed in params.hulls:
-        if hulls is None or placed.body not in hulls.body:
-            raise InvalidInputError(f"station {params.name!r} needs a hull of {placed.body!r}, but there is none")
-        row = hulls.body.index(placed.body)
-        part = slice(int(hulls.first_sphere[row]), int(hulls.first_sphere[row] + hulls.n_spheres[row]))
-        centres.append(apply(placed.T_station_body.matrix(), hulls.centre_m[part]))
-        radii.append(hulls.radius_m[part])
+    spheres = _spheres(f"station {params.name!r}", params.hulls, params.centre_m, params.radius_m, hulls)
     approaches = tuple(
         Approach.along(
             np.stack([pose.matrix() for pose in each.T_station_tool]),
             speed_m_s=each.speed_m_s,
+            turn_rad_s=each.turn_rad_s,
             target=TargetKind(each.target),
             name=each.name,
         )
         for each in params.approaches
     )
-    return Station(
-        params.name, params.harness.harness(), Spheres(np.concatenate(centres), np.concatenate(radii)), approaches
-    )
+    return Station(params.name, params.harness.harness(), spheres, approaches)
+
+
+def _spheres(
+    owner: str,
+    wanted: Sequence[PlacedHull],
+    centre_m: Sequence[Vector],
+    radius_m: Sequence[float],
+    hulls: SphereHull | None,
+) -> Spheres:
+    """Return given spheres and those of fitted hulls in the frame of what carries them."""
+    centres, radii = [np.array(centre_m, float).reshape(-1, 3)], [np.array(radius_m, float)]
+    for placed in wanted:
+        if hulls is None or placed.body not in hulls.body:
+            raise InvalidInputError(f"{owner} needs a hull of {placed.body!r}, but there is none")
+        row = hulls.body.index(placed.body)
+        part = slice(int(hulls.first_sphere[row]), int(hulls.first_sphere[row] + hulls.n_spheres[row]))
+        centres.append(apply(placed.T_station_body.matrix(), hulls.centre_m[part]))
+        radii.append(hulls.radius_m[part])
+    return Spheres(np.concatenate(centres), np.concatenate(radii))
 
 
 def _robot_spheres(
-    params: LayoutProblemParams, arm: SerialArm, T_flange_tool: FloatArray, robot: RobotHull | None
+    params: LayoutProblemParams,
+    arm: SerialArm,
+    T_flange_tool: FloatArray,
+    robot: RobotHull | None,
+    hulls: SphereHull | None,
 ) -> RobotSpheres:
     wanted = params.spheres
-    if wanted.model == "links":
-        if robot is None:
-            raise InvalidInputError("the robot's links need a hull, but there is none")
-        return link_spheres(arm, robot, self_collision=wanted.self_collision)
-    tip = (arm.T_last_flange @ T_flange_tool)[:3, 3]
-    link, centres, radii = [arm.n_joints], [tip], [wanted.tool_radius_m]
+    tool = wanted.tool
+    mounted = _spheres("the tool", tool.hulls, tool.centre_m, tool.radius_m, hulls)
+    held = Spheres(apply(arm.T_last_flange, mounted.centres), mounted.radii)
+    point = end_effector_point(arm, T_flange_tool, wanted.tool_radius_m, base_radius_m=wanted.base_radius_m)
+    if wanted.model == "point":
+        return with_tool(arm, point, held, self_collision=False)
+    if robot is None:
+        raise InvalidInputError("the robot's links need a hull, but there is none")
+    links = link_spheres(arm, robot, self_collision=wanted.self_collision)
     if wanted.base_radius_m > 0.0:
-        link.insert(0, 0)
-        centres.insert(0, np.array([0.0, 0.0, 0.5 * wanted.base_radius_m]))
-        radii.insert(0, wanted.base_radius_m)
-    return RobotSpheres(np.array(link), np.stack(centres), np.array(radii))
+        links = RobotSpheres(
+            np.append(links.link, 0),
+            np.concatenate([links.centres, point.centres[:1]]),
+            np.append(links.radii, wanted.base_radius_m),
+            links.self_pairs,
+        )
+    if wanted.tool_radius_m > 0.0:
+        held = Spheres(np.concatenate([held.centres, point.centres[-1:]]), np.append(held.radii, wanted.tool_radius_m))
+    return with_tool(arm, links, held, self_collision=wanted.self_collision)
 
 
 def link_spheres(arm: SerialArm, robot: RobotHull, *, self_collision: bool) -> RobotSpheres:
-    """Return a robot's hull on the links of an arm: the spheres of links that are fixed to one are its own."""
+    """Return a robot's hull on the links of an arm: the spheres of links that are fixed to one are its own.
+
+    Joints that are none of the arm's, such as those of fingers, stand still in a layout: the links behind them are
+    fixed to the arm's, so that pairs on one link, or on neighbours, need no check.
+    """
     joints = [joint for joint in arm.tree.path(arm.base_link, arm.flange_link) if joint.name in arm.joint_names]
     attached = arm.tree.attachments(arm.base_link, moving_joints(joints, arm.base_link, arm.flange_link))
-    link, centres = [], []
+    number = [attached[name][0] for name in robot.link]
+    centres = []
     for row, name in enumerate(robot.link):
-        number, T_parent_link = attached[name]
         part = slice(int(robot.first_sphere[row]), int(robot.first_sphere[row] + robot.n_spheres[row]))
-        centres.append(apply(T_parent_link, robot.centre_m[part]))
-        link += [number] * int(robot.n_spheres[row])
-    pairs = [_sphere_pairs(robot, one, other) for one, other in robot.checked_pair.tolist()] if self_collision else []
+        centres.append(apply(attached[name][1], robot.centre_m[part]))
+    checked = [(one, other) for one, other in robot.checked_pair.tolist() if abs(number[one] - number[other]) > 1]
+    pairs = [_sphere_pairs(robot, one, other) for one, other in checked] if self_collision else []
     none = np.empty((0, 2), np.int64)
     everywhere = np.concatenate([np.empty((0, 3)), *centres])
-    return RobotSpheres(np.array(link, np.int64), everywhere, robot.radius_m, np.concatenate([none, *pairs]))
+    link = np.repeat(np.array(number, np.int64), robot.n_spheres)
+    return RobotSpheres(link, everywhere, robot.radius_m, np.concatenate([none, *pairs]))
+
+
+def with_tool(arm: SerialArm, spheres: RobotSpheres, tool: Spheres, *, self_collision: bool) -> RobotSpheres:
+    """Return a robot's spheres and those of a tool that its URDF does not know, given in the last link's frame.
+
+    The tool keeps clear of the links that it can meet: not of its own and the one before it, and neither of those that
+    it always touches, or never, in random configurations.
+    """
+    if not len(tool):
+        return spheres
+    pairs = _tool_pairs(arm, spheres, tool) if self_collision else np.empty((0, 2), np.int64)
+    return RobotSpheres(
+        np.concatenate([spheres.link, np.full(len(tool), arm.n_joints)]),
+        np.concatenate([spheres.centres, tool.centres]),
+        np.concatenate([spheres.radii, tool.radii]),
+        np.concatenate([spheres.self_pairs, pairs]),
+    )
+
+
+def _tool_pairs(arm: SerialArm, spheres: RobotSpheres, tool: Spheres) -> IntArray:
+    """Return rows of a link's sphere and a tool's, the latter numbered behind all others, (pairs, 2)."""
+    from cellwright.cell.ignored_pairs import Reason
+    from cellwright.cell.sphere_pairs import N_SAMPLES, hull_pairs
+
+    last = arm.n_joints
+    q = np.random.default_rng(0).uniform(arm.lower, arm.upper, (N_SAMPLES, last))
+    poses = arm.link_poses(q)
+    rows = [np.flatnonzero(spheres.link == link) for link in range(last)]
+    found = hull_pairs(
+        [*(spheres.centres[each] for each in rows), tool.centres],
+        [*(spheres.radii[each] for each in rows), tool.radii],
+        list(range(last + 1)),
+        [poses[:, link] for link in range(last + 1)],
+        [(last - 1, last)],
+        known={(one, other): Reason.DECLARED for other in range(last) for one in range(other)},
+    )
+    mounted = len(spheres) + np.arange(len(tool))
+    grids = [np.stack(np.meshgrid(rows[link], mounted, indexing="ij"), -1) for link, _ in found.checked.tolist()]
+    return np.concatenate([np.empty((0, 2), np.int64), *(grid.reshape(-1, 2) for grid in grids)])
 
 
 def _sphere_pairs(robot: RobotHull, one: int, other: int) -> IntArray:
@@ -187,12 +256,14 @@ def drawn_before(layout: Layout) -> DrawnLayout:
     motions = []
     for row in rows:
         part = layout.before_transition == row
+        velocity = layout.before_velocity[part]
         motions.append(
             Transition(
                 int(layout.start_row[row]),
                 int(layout.end_row[row]),
                 layout.before_time_s[part],
                 layout.before_position[part],
+                None if np.isnan(velocity).any() else velocity,
             )
         )
     return DrawnLayout(layout.before, tuple(motions))

@@ -92,13 +92,14 @@ class ApproachParams(Params):
     T_station_tool: tuple[Pose, ...] = Field(min_length=1, description="Poses in order.")
     target: Literal["pose", "axis", "position"] = Field(default="pose", description="What must be met.")
     speed_m_s: float | None = Field(default=None, gt=0, description="Speed on the way; none: its time is not counted.")
+    turn_rad_s: float = Field(default=1.0, gt=0, description="At which the tool turns at most; with a speed.")
 
 
 class PlacedHull(Params):
     """A fitted hull and where it is put."""
 
     body: str = Field(min_length=1, description="Name of the body in the hulls' artefact.")
-    T_station_body: Pose = Field(default=Pose(), description="Pose of the body on the station.")
+    T_station_body: Pose = Field(default=Pose(), description="Pose of the body on the station, a tool's on the flange.")
 
 
 class StationParams(Params):
@@ -118,7 +119,7 @@ class WallParams(Params):
     name: str = Field(min_length=1, description="For messages.")
     normal: Vector = Field(description="Into the room.")
     offset_m: float = Field(description="Distance from the origin along the normal.")
-    holds_robot: bool = Field(default=True, description="Whether the links keep off it too.")
+    holds_robot: bool = Field(default=True, description="Whether the robot keeps off it too.")
 
 
 class LayoutCostParams(Params):
@@ -128,7 +129,15 @@ class LayoutCostParams(Params):
     repeatability_s_per_m: float = Field(default=0.0, ge=0, description="Seconds that a metre of error costs.")
     joint_deviation: tuple[float, ...] = Field(default=(), description="Of each joint, rad or m; one or each.")
     worst_case: bool = Field(default=False, description="Whether errors add up.")
-    along_path: bool = Field(default=False, description="Whether transitions count too.")
+    along_path: bool = Field(default=False, description="Whether L is a mean over the time of the cycle.")
+
+
+class ToolHullParams(Params):
+    """A tool that is no part of the URDF; it sits on the flange."""
+
+    hulls: tuple[PlacedHull, ...] = Field(default=(), description="Hulls that are fitted.")
+    centre_m: tuple[Vector, ...] = Field(default=(), description="Centres of given spheres on the flange.")
+    radius_m: tuple[float, ...] = Field(default=(), description="Their radii.")
 
 
 class RobotSphereParams(Params):
@@ -136,8 +145,9 @@ class RobotSphereParams(Params):
 
     model: Literal["links", "point"] = Field(default="point", description="Spheres of the links, or the tool's point.")
     self_collision: bool = Field(default=True, description="Whether links keep clear of each other.")
-    tool_radius_m: float = Field(default=0.0, ge=0, description="About the tool's point; with point.")
-    base_radius_m: float = Field(default=0.0, ge=0, description="About the base, half as high; with point; 0: none.")
+    tool: ToolHullParams = Field(default=ToolHullParams(), description="What is mounted on the flange.")
+    tool_radius_m: float = Field(default=0.0, ge=0, description="About the tool's point; 0 with links: none.")
+    base_radius_m: float = Field(default=0.0, ge=0, description="About the base, half as high; 0: none.")
 
 
 class LayoutProblemParams(Params):
@@ -152,5 +162,7 @@ class LayoutProblemParams(Params):
     visits: tuple[tuple[int, int], ...] = Field(description="Rows of station and approach; -1 is home.")
     cyclic: bool = Field(default=True, description="Whether the robot returns to the first visit.")
     walls: tuple[WallParams, ...] = Field(default=(), description="Walls.")
-    clearance_m: float = Field(default=0.0, ge=0, description="Distance kept between spheres.")
+    clearance_m: float = Field(
+        default=0.0, ge=0, description="Distance between bodies, and from the moving robot to walls."
+    )
     cost: LayoutCostParams = Field(default=LayoutCostParams(), description="Extra cost.")

@@ -60,14 +60,23 @@ def summary_of(layout: Layout) -> dict[str, Any]:
     }
 
 
-def refusal_of(layout: Layout) -> str:
-    """Say why a layout that has not converged is no result: what blocks, and the smallest relaxation found."""
+def refusal_of(layout: Layout, *, sought: bool) -> str:
+    """Say why a layout that has not converged is no result: what blocks, and the smallest relaxation found.
+
+    ``sought`` says whether one was looked for.
+    """
     n_starts = len(layout.trial_converged)
     tried = "the start missed its gate" if n_starts == 1 else f"none of {n_starts} starts passed its gate"
+    if not sought:
+        return (
+            f"no layout was found: {tried}; the best of them is blocked: {layout.blocking}; what would have to give "
+            "was not looked for: set solver.extras to true to have the smallest relaxation named"
+        )
     if not layout.requirement:
         return (
-            f"no layout was found: {tried}; the best of them is blocked: {layout.blocking}; every station can "
-            "be served where it may stand, so more starts (solver.starts) or another seed may find a way"
+            f"no layout was found: {tried}; the best of them is blocked: {layout.blocking}; every station can be "
+            "reached where it may stand and nothing has to overlap there, so more starts (solver.starts) or another "
+            f"seed may find a way{', and so may slower approaches' if layout.approach_s > 0.0 else ''}"
         )
     reliefs = listed(
         f"{what} (relax it by {excess:.4g} {unit})"

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from cellwright.arrays import FloatArray
     from cellwright.solvers.layout.problem import LayoutProblem
     from cellwright.solvers.layout.relaxation import Relaxation
-    from cellwright.solvers.layout.solution import LayoutSolution
+    from cellwright.solvers.layout.solution import LayoutSolution, Transition
     from cellwright.solvers.layout.symbols import LayoutSymbols
 
 Method = Literal["staged", "direct", "second_order", "proxy", "iterative"]
@@ -52,7 +52,7 @@ class LayoutParams(Params):
     seed: int = Field(default=0, ge=0, description="Seed of all random choices.")
 
 
-@stage(version=2)
+@stage(version=3)
 def optimise_layout(
     urdf: SourceFile | None,
     robot: RobotHull | None,
@@ -68,7 +68,7 @@ def optimise_layout(
     Raises:
         InvalidInputError: If the problem contradicts itself, or stations overlap where the first start is placed.
     """
-    from cellwright.solvers.layout.optimiser import solve_layout
+    from cellwright.solvers.layout.optimiser import best_of, solutions_from_starts, start_generator
     from cellwright.solvers.layout.relaxation import Relaxation, smallest_relaxation
     from cellwright.solvers.layout.start import sample_design
     from cellwright.solvers.layout.symbols import LayoutSymbols
@@ -77,25 +77,21 @@ def optimise_layout(
     symbols, settings = LayoutSymbols(problem), _settings(params)
     placed = _placed(symbols) if params.placed else None
     # the same generator gives the first start, which is drawn as the solver draws it
-    first = sample_design(problem, np.random.default_rng([params.seed, 0])) if placed is None else placed
+    first = sample_design(problem, start_generator(params.seed, 0)) if placed is None else placed
     before = _timed(problem, first, params) if params.extras else None
     found: list[LayoutSolution] = []
-    for number in range(params.n_starts):
-        rng = np.random.default_rng([params.seed, number])
-        start = None if number else placed
-        found.append(solve_layout(problem, params.method, start=start, rng=rng, settings=settings, symbols=symbols))
+    for solution in solutions_from_starts(
+        symbols, params.method, n_starts=params.n_starts, seed=params.seed, settings=settings, start=placed
+    ):
+        found.append(solution)
         progress(len(found) / (params.n_starts + 1))
-    best = min(range(len(found)), key=lambda row: (not found[row].converged, _cost(found[row])))
+    best = best_of(found)
     relaxation = Relaxation(())
     if params.extras and not found[best].converged:
-        rng = np.random.default_rng([params.seed, params.n_starts])
+        rng = start_generator(params.seed, params.n_starts)
         relaxation = smallest_relaxation(symbols, found[best].design, rng)
     progress(1.0)
     return _layout(problem, found, best, first, before, relaxation)
-
-
-def _cost(solution: LayoutSolution) -> float:
-    return solution.cycle_time_s + solution.extra_cost
 
 
 def _placed(symbols: LayoutSymbols) -> FloatArray | None:
@@ -105,8 +101,7 @@ def _placed(symbols: LayoutSymbols) -> FloatArray | None:
         InvalidInputError: If things overlap there that could stand apart: which, by how much, and the smallest change.
     """
     from cellwright.errors import InvalidInputError, listed
-    from cellwright.solvers.layout.optimiser import start_overlaps
-    from cellwright.solvers.layout.relaxation import nearest_clear_design
+    from cellwright.solvers.layout.optimiser import smallest_change, start_overlaps
 
     problem = symbols.problem
     # joints move from where things are placed; a range without 0 begins at its nearer end
@@ -114,31 +109,24 @@ def _placed(symbols: LayoutSymbols) -> FloatArray | None:
     overlaps = start_overlaps(problem, design)
     if not overlaps:
         return np.asarray(design)
-    clear = nearest_clear_design(symbols, design)
-    if clear is None:
+    change = smallest_change(symbols, design)
+    if change is None:
         return None  # what blocks is found with the smallest relaxation
-    turns = np.concatenate([np.zeros(0, bool), *(harness.revolute for harness in problem.harnesses)])
-    change = clear - design
-    changes = [
-        f"{problem.design_names[row]} by {change[row]:+.4g} {'rad' if turns[row] else 'm'}"
-        for row in np.argsort(-np.abs(change), kind="stable").tolist()
-        if abs(change[row]) > 1e-4
-    ]
     raise InvalidInputError(
-        f"the layout overlaps where it is placed: {listed(overlaps)}; the smallest change found that clears it: "
-        f"{listed(changes)}; or begin elsewhere by solver.begin: random"
+        f"the layout overlaps where it is placed: {listed(overlaps)}; {change}; or begin elsewhere by "
+        "solver.begin: random"
     )
 
 
 def _timed(problem: LayoutProblem, design: FloatArray, params: LayoutParams) -> LayoutSolution:
     """Return the cycle of a layout as it stands, under the same law of motion."""
-    from cellwright.solvers.layout.optimiser import solve_layout
+    from cellwright.solvers.layout.fixed_layout import time_layout
+    from cellwright.solvers.layout.second_order import SecondOrderSettings
     from cellwright.solvers.layout.staged import StagedSettings
 
-    method = "second_order" if params.method == "second_order" else "staged"
-    settings = StagedSettings(n_branches=3, n_sweeps=0) if method == "staged" else None
-    fixed = problem.with_design(design)
-    return solve_layout(fixed, method, rng=np.random.default_rng(params.seed), settings=settings)
+    accelerated = params.method == "second_order"
+    settings = SecondOrderSettings() if accelerated else StagedSettings(n_branches=3, n_sweeps=0)
+    return time_layout(problem, design, np.random.default_rng(params.seed), settings)
 
 
 def _settings(params: LayoutParams) -> Any:
@@ -231,9 +219,7 @@ def _motion_columns(problem: LayoutProblem, chosen: LayoutSolution, before: Layo
         "transition": np.repeat(np.arange(len(transitions), dtype=np.int32), [len(each.q) for each in transitions]),
         "time_s": np.concatenate([each.times_s for each in transitions]),
         "position": np.concatenate([each.q for each in transitions]),
-        "velocity": np.concatenate(
-            [np.full_like(each.q, np.nan) if each.velocity is None else each.velocity for each in transitions]
-        ),
+        "velocity": np.concatenate([_velocity(each) for each in transitions]),
         "approach_visit": np.repeat(
             np.arange(len(chosen.approach_q), dtype=np.int32), [len(q) for q in chosen.approach_q]
         ),
@@ -241,7 +227,12 @@ def _motion_columns(problem: LayoutProblem, chosen: LayoutSolution, before: Layo
         "before_transition": np.repeat(np.arange(len(shown), dtype=np.int32), [len(each.q) for each in shown]),
         "before_time_s": np.concatenate([np.empty(0), *(each.times_s for each in shown)]),
         "before_position": np.concatenate([empty, *(each.q for each in shown)]),
+        "before_velocity": np.concatenate([empty, *(_velocity(each) for each in shown)]),
     }
+
+
+def _velocity(motion: Transition) -> FloatArray:
+    return np.full_like(motion.q, np.nan) if motion.velocity is None else motion.velocity
 
 
 def _gate_columns(solution: LayoutSolution) -> dict[str, Any]:
@@ -256,10 +247,13 @@ def _gate_columns(solution: LayoutSolution) -> dict[str, Any]:
         ("angle missed at the ends of transitions", report.endpoint_rad, most.endpoint_rad, "rad"),
         ("position missed along approaches", report.approach_m, most.approach_m + report.endpoint_m, "m"),
         ("angle missed along approaches", report.approach_rad, most.approach_rad + report.endpoint_rad, "rad"),
+        ("step of a joint along approaches", report.approach_jump, most.jump, "rad or m"),
         ("excess over joint limits", report.position_excess, most.limit, "rad or m"),
         ("excess over harness ranges", report.design_excess, most.limit, "rad or m"),
         ("joint speed over its limit", report.speed_ratio, 1.0 + fastest, ""),
-        ("joint acceleration over its limit", report.acceleration_ratio, 1.0 + most.ratio, ""),
+        ("joint acceleration over its limit", report.acceleration_ratio, 1.0 + fastest, ""),
+        ("joint speed over its limit where it is to rest", report.rest_ratio, most.ratio, ""),
+        ("time to take up the speed of approaches", report.handover_s, most.blend_s, "s"),
     ]
     return {
         "check": tuple(row[0] for row in rows),

@@ -41,9 +41,9 @@ Entity = tuple[str, str, tuple[float, float, float, float], FloatArray]
 
 
 class ShownBody(Params):
-    """A body that is shown; its pose is on the station."""
+    """A body that is shown; its pose is on what carries it."""
 
-    station: str = Field(min_length=1, description="Station that carries it.")
+    station: str | None = Field(default=None, min_length=1, description="Station that carries it; none: the flange.")
     body: BodyParams
 
 
@@ -53,10 +53,11 @@ class LayoutRecordingParams(Params):
     problem: LayoutProblemParams = Field(description="The problem that the layout solves.")
     bodies: tuple[ShownBody, ...] = Field(default=(), description="Bodies of stations and obstacles.")
     frame_rate_hz: float = Field(default=50.0, gt=0, le=1000, description="Poses of the frames a second.")
+    show_robot: bool = Field(default=True, description="Whether the robot's meshes are at hand.")
     moving_s: float = Field(default=2.0, gt=0, le=60, description="Time in which the stations move to their places.")
 
 
-@stage(version=1)
+@stage(version=2)
 def record_layout(
     urdf: SourceFile | None,
     files: tuple[SourceFile, ...],
@@ -69,7 +70,7 @@ def record_layout(
     """Lay a layout out in time; meshes of robot and stations are found among the files by their names.
 
     Raises:
-        InvalidInputError: If a mesh is malformed.
+        InvalidInputError: If a mesh is malformed, or missing although the robot is to be shown.
     """
     problem = build_problem(params.problem, urdf, robot, hulls)
     time, q = _cycle(problem, layout, params.moving_s)
@@ -77,7 +78,7 @@ def record_layout(
     pose_time, pose_frame, position, quaternion = _poses(problem, layout, time, q, params)
     contents = {file.name: file.content for file in files}
     entities = [
-        *_robot_bodies(problem, contents, urdf is None, params),
+        *(_robot_bodies(problem, contents, urdf is None, params) if params.show_robot else ()),
         *_hulls(problem),
         *_station_bodies(contents, params),
     ]
@@ -194,19 +195,19 @@ def _poses(
 def _robot_bodies(
     problem: LayoutProblem, contents: Mapping[str, bytes], built_in: bool, params: LayoutRecordingParams
 ) -> list[Entity]:
-    """Return the robot's collision shapes; links whose mesh is not at hand are left out."""
+    """Return the robot's collision shapes.
+
+    Raises:
+        InvalidInputError: If geometry is malformed or a mesh is missing; the link is named.
+    """
     from cellwright.cell.built_in_robots import built_in_meshes
     from cellwright.cell.robot import moving_joints
     from cellwright.cell.spherized_urdf import link_shapes, merged_mesh
     from cellwright.cell.urdf_geometry import meshes_among
-    from cellwright.errors import InvalidInputError
 
     arm = problem.arm
     read = built_in_meshes(params.problem.arm.robot) if built_in else meshes_among(contents)
-    try:
-        shapes = link_shapes(arm.tree, read)
-    except InvalidInputError:
-        return []  # with the tool's point alone a URDF is served without its meshes
+    shapes = link_shapes(arm.tree, read)
     path = [joint for joint in arm.tree.path(arm.base_link, arm.flange_link) if joint.name in arm.joint_names]
     attached = arm.tree.attachments(arm.base_link, moving_joints(path, arm.base_link, arm.flange_link))
     found: list[Entity] = []
@@ -256,5 +257,6 @@ def _station_bodies(contents: Mapping[str, bytes], params: LayoutRecordingParams
     for shown in params.bodies:
         vertices, faces = triangles_of(shape_of(shown.body, contents))
         triangles = _triangles(vertices, faces, shown.body.pose.matrix())
-        found.append((shown.body.name, _station_frame(shown.station), _STATION, triangles))
+        frame = "flange" if shown.station is None else _station_frame(shown.station)
+        found.append((shown.body.name, frame, _STATION, triangles))
     return found

@@ -21,7 +21,7 @@ from cellwright.errors import InfeasibleError
 from schemas.layout import Layout, LayoutReport, RobotHull
 from schemas.layout_objects import build_problem, drawn, drawn_before
 from schemas.layout_params import LayoutProblemParams
-from schemas.layout_summary import refusal_of, summary_of
+from schemas.layout_summary import summary_of
 from schemas.params import Params
 from schemas.sources import SourceFile
 from schemas.sphere_hull import SphereHull
@@ -65,7 +65,7 @@ def write_layout_report(
     from cellwright.figures.layout_motion import motion_chart, starts_chart
 
     if not layout.converged:
-        raise InfeasibleError(refusal_of(layout))
+        raise InfeasibleError(f"there is no report of a layout that missed its gate: {layout.blocking}: relax that")
     problem = build_problem(params.problem, urdf, robot, hulls)
     had_cycle = math.isfinite(layout.before_cycle_s)
     before = f"before: {layout.before_cycle_s:.2f} s" if had_cycle else "before: no cycle"

@@ -268,10 +268,18 @@ def _check_limits(
     for row, joint in enumerate(joints):
         unit = "m" if joint.kind == "prismatic" else "rad"
         if not lower[row] < upper[row]:
+            ends = f"lower limit {lower[row]:.6g} and upper limit {upper[row]:.6g} {unit}"
+            none = [which for which in ("lower", "upper") if which not in joint.limits]
+            if none:
+                raise InvalidInputError(
+                    f"joint {joint.name!r} has {ends}, as it states no {' and no '.join(none)}: add it to its <limit>"
+                )
             raise InvalidInputError(
-                f"joint {joint.name!r} has lower limit {lower[row]:.6g} and upper limit {upper[row]:.6g} {unit}: "
-                "lower must be less than upper"
+                f"joint {joint.name!r} has {ends}: lower must be less than upper; move them apart by more than "
+                f"{lower[row] - upper[row]:.6g} {unit}"
             )
+        if math.isnan(velocity[row]):
+            raise InvalidInputError(f"joint {joint.name!r} has no velocity limit: add velocity to its <limit>")
         for what, value in (("velocity", velocity[row]), ("acceleration", acceleration[row])):
             if not (value > 0.0 and math.isfinite(value)):
                 raise InvalidInputError(

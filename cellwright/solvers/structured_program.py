@@ -54,15 +54,41 @@ class LocalFunction:
     """
 
     def __init__(self, name: str, z: Any, p: Any, r: Any) -> None:
+        multiplier = casadi.SX.sym("multiplier", r.size1())
+        H = casadi.hessian(casadi.dot(multiplier, r), z)[0]
+        self._keep(name, z, p, r, casadi.jacobian(r, z), multiplier, H)
+
+    def _keep(self, name: str, z: Any, p: Any, r: Any, J: Any, multiplier: Any, H: Any) -> None:
         self.n_z, self.n_p, self.n_r = z.size1(), p.size1(), r.size1()
+        H = casadi.triu(H)
         self.value = casadi.Function(name, [z, p], [r])
-        J = casadi.jacobian(r, z)
-        multiplier = casadi.SX.sym("multiplier", self.n_r)
-        H = casadi.triu(casadi.hessian(casadi.dot(multiplier, r), z)[0])
         self.jacobian = casadi.Function(name, [z, p], [J.nz[:]])
         self.hessian = casadi.Function(name, [z, p, multiplier], [H.nz[:]])
         self.jacobian_rows, self.jacobian_columns = (np.array(part, np.int64) for part in J.sparsity().get_triplet())
         self.hessian_rows, self.hessian_columns = (np.array(part, np.int64) for part in H.sparsity().get_triplet())
+
+    @classmethod
+    def scaled(cls, name: str, z: Any, p: Any, scale: Any, x: Any, f: Any, x_at: Any) -> LocalFunction:
+        """Return ``scale(z, p) * f(x_at(z, p))`` of one output, ``f`` an expression of the column ``x`` alone.
+
+        The second derivatives of ``f`` are taken by ``x`` and carried over by the chain rule: far fewer operations
+        where ``f`` is long and ``z`` has more entries than ``x``.
+        """
+        n = x.size1()
+        inner = casadi.Function("inner", [x], [f, *reversed(casadi.hessian(f, x))])
+        at, value, slope = casadi.SX.sym("at", n), casadi.SX.sym("value"), casadi.SX.sym("slope", n)
+        curvature = casadi.SX.sym("curvature", n, n)
+        away = x_at - at
+        # equal to f in value, slope and curvature where x is ``at``
+        parabola = scale * (value + casadi.dot(slope, away) + 0.5 * casadi.dot(away, curvature @ away))
+        multiplier = casadi.SX.sym("multiplier")
+        H, J = casadi.hessian(parabola, z)
+        f_at, slope_at, curvature_at = inner(x_at)
+        names, values = [at, value, slope, curvature], [x_at, f_at, slope_at, casadi.densify(curvature_at)]
+        J, H = casadi.substitute([J.T, multiplier * H], names, values)
+        made = cls.__new__(cls)
+        made._keep(name, z, p, scale * f_at, J, multiplier, H)
+        return made
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,6 +221,14 @@ class StructuredProgram:
         return CompiledProgram(self, most_iterations, warm, options)
 
 
+_NEVER_BEGUN = ("Not_Enough_Degrees_Of_Freedom", "Invalid_Problem_Definition", "Invalid_Option", "Internal_Error")
+
+
+def _iterations(statistics: dict[str, Any]) -> int:
+    """Return how many iterations Ipopt made; of a program that it never began CasADi hands on what was in memory."""
+    return 0 if statistics["return_status"] in _NEVER_BEGUN else int(statistics["iter_count"])
+
+
 class CompiledProgram:
     """A `StructuredProgram` as CasADi functions: ``f``, ``g``, gradient, Jacobian, Hessian, and the solver."""
 
@@ -258,7 +292,7 @@ class CompiledProgram:
             x,
             float(self.cost(x)),
             str(statistics["return_status"]),
-            int(statistics["iter_count"]),
+            _iterations(statistics),
             violation if np.isfinite(x).all() else np.inf,
             bool(statistics["success"]),
         )

@@ -15,7 +15,7 @@ from flows.execution import Unwatched
 from schemas.layout_file import load_layout_file
 from storage.lake import Lake
 from tests.every_stage import LAYOUT
-from tests.small_layout import CYCLE_S, document, table, write_layout
+from tests.small_layout import CYCLE_S, document, gripper_urdf, gripping, table, write_layout
 
 FAR = {"harness": None, "pose": {"position": ["1.5 m", "0 m", "0 m"]}}
 ROBOT = document()["robot"]
@@ -105,7 +105,7 @@ def test_links_and_bodies_get_certified_hulls(tmp_path: Path, lake: str) -> None
         (
             {"stations": [table("blue", harness={"planar": {"x": ["1 m", "-1 m"]}}), table("red")]},
             2,
-            ["stations.0.harness.planar.x", "is reversed, from 1 m to -1 m: write [-1 m, 1 m]"],
+            ["stations.0.harness.planar.x", "is reversed, from 1 m to -1 m, its lower end 2000 mm above its upper end"],
         ),
         (
             {"robot": {**ROBOT, "upper": ["-200 deg", "0.8 m"]}},
@@ -127,6 +127,45 @@ def test_what_cannot_be_is_named_with_its_measure(
     for word in words:
         assert word in error, error
     assert "Traceback" not in error
+
+
+def test_a_relaxation_that_nobody_looked_for_is_not_spoken_of(
+    tmp_path: Path, lake: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = write_layout(tmp_path, stations=[table("blue"), table("red", **FAR)], solver={"starts": 1, "extras": False})
+    code, _, error = said(capsys, "layout", path, "--direct", "--lake", lake)
+    assert code == 3 and "can be served" not in error
+    assert "red is not met by 0.3" in error and "set solver.extras to true" in error
+
+
+def test_fingers_that_no_layout_moves_do_not_block_it(tmp_path: Path, lake: str) -> None:
+    (tmp_path / "arm.urdf").write_text(gripper_urdf())
+    result = layout.run(write_layout(tmp_path, **gripping()), lake=lake, direct=True)
+    assert result.summary["converged"] and result.summary["cycle_s"] < 1.0
+
+
+def test_a_robot_without_its_meshes_is_left_out_of_the_recording_and_said_so(
+    tmp_path: Path, lake: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "arm.urdf").write_text(gripper_urdf(mesh="gone.stl"))
+    path = write_layout(tmp_path, **gripping(hull={"model": "point"}))
+    code, text, error = said(capsys, "layout", path, "--direct", "--lake", lake, "--json")
+    assert code == 0, error
+    told = json.loads(text)
+    assert any("without the robot" in note and "gone.stl" in note for note in told["notes"])
+    code, _, error = said(capsys, "layout", write_layout(tmp_path, **gripping()), "--direct", "--lake", lake)
+    assert code == 2 and "'gone.stl' was not found" in error and "model: point" in error
+
+
+@pytest.mark.parametrize("model", ["point", "links"])
+def test_a_malformed_mesh_of_the_robot_is_an_error(
+    tmp_path: Path, lake: str, capsys: pytest.CaptureFixture[str], model: str
+) -> None:
+    (tmp_path / "arm.urdf").write_text(gripper_urdf(mesh="upper.stl"))
+    (tmp_path / "upper.stl").write_text("solid this is none")
+    path = write_layout(tmp_path, **gripping(hull={"model": model}))
+    code, _, error = said(capsys, "layout", path, "--direct", "--lake", lake)
+    assert code == 2 and "link 'upper'" in error and "upper.stl" in error and "Traceback" not in error
 
 
 def test_each_question_names_the_other(capsys: pytest.CaptureFixture[str]) -> None:

@@ -93,11 +93,12 @@ def test_the_root_comes_before_all_joints() -> None:
         ({"planar": {}}, "planar has no range: give it at least one of x, y, yaw"),
         (
             {"planar": {"x": ["200 mm", "-200 mm"]}},
-            "is reversed, from 200 mm to -200 mm: write [-200 mm, 200 mm]",
+            "is reversed, from 200 mm to -200 mm, its lower end 400 mm above its upper end: write [-200 mm, 200 mm]",
         ),
         (
             {"planar": {"yaw": ["5 deg", "5 deg"]}},
-            "is empty, from 5 deg to 5 deg: widen it, or leave it out to hold still",
+            "is empty, from 5 deg to 5 deg, 0 deg wide: any width above that makes it a range, or leave it "
+            "out to hold still",
         ),
         ({"planar": {"x": ["-200", "200 mm"]}}, "'-200' has no unit but a length needs one: write -200 mm"),
         (

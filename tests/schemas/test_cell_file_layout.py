@@ -84,7 +84,7 @@ def test_the_robots_harness_stands_at_its_base(tmp_path: Path) -> None:
         (
             PLANAR,
             ("layout.harness.planar.x=[100 mm, -100 mm]",),
-            "layout.harness.planar.x: is reversed, from 100 mm to -100 mm: write [-100 mm, 100 mm]",
+            "layout.harness.planar.x: is reversed, from 100 mm to -100 mm, its lower end 200 mm above",
         ),
         (
             PLANAR,

@@ -9,13 +9,17 @@ from typing import Any
 import numpy as np
 import pytest
 
+from cellwright.cell.serial_arm import SerialArm
+from cellwright.cell.transforms import apply
 from cellwright.errors import InvalidInputError
 from cellwright.solvers.layout.examples import four_station_problem, station_distance_problem, two_machine_problem
 from cellwright.solvers.layout.problem import LayoutProblem
 from flows.layout_requests import layout_request
 from schemas.layout_file import load_layout_file
 from schemas.layout_objects import build_problem
-from tests.small_layout import document, table, write_layout
+from schemas.sources import SourceFile
+from tasks.spherize_robot import spherize_robot
+from tests.small_layout import document, gripper_urdf, gripping, table, write_layout
 
 PROJECT = Path(__file__).parents[2]
 ROBOT = document()["robot"]
@@ -99,6 +103,52 @@ def test_limits_are_laid_over_the_robots_own(tmp_path: Path) -> None:
     np.testing.assert_allclose(problem.arm.max_velocity, [1.0, 0.5])
 
 
+def test_a_tool_beyond_the_urdf_keeps_clear_like_the_links(tmp_path: Path) -> None:
+    flange = SerialArm.from_urdf(gripper_urdf(), flange_link="hand").T_last_flange
+    (tmp_path / "arm.urdf").write_text(gripper_urdf())
+    tool = [{"spheres": [{"centre": ["0.1 m", "0 m", "0 m"], "radius": "0.1 m"}]}]
+    changes = gripping(
+        hull={"spheres": 3, "tool_radius": "20 mm", "base_radius": "0.1 m"}, tool={"position": ["0.8 m", "0 m", "0 m"]},
+        tool_hull=tool,
+    )  # fmt: skip
+    plain, with_tool = (built(tmp_path, write_layout(tmp_path, **each)).robot_spheres for each in (gripping(), changes))
+    n = len(plain)
+    assert with_tool.link[n:].tolist() == [0, 2, 2]
+    np.testing.assert_allclose(with_tool.radii[n:], [0.1, 0.1, 0.02])
+    np.testing.assert_allclose(
+        with_tool.centres[n + 1 :], [apply(flange, np.array([[x, 0, 0]]))[0] for x in (0.1, 0.8)]
+    )
+    # the tool may fold back onto the column, but never meets the arm that carries it
+    pairs = with_tool.self_pairs[len(plain.self_pairs) :]
+    assert {(int(with_tool.link[one]), int(other)) for one, other in pairs} == {(0, n + 1), (0, n + 2)}
+
+
+def built(folder: Path, path: Path) -> LayoutProblem:
+    """Return the problem of a file whose robot has no meshes, with its links covered."""
+    request = layout_request(load_layout_file(path))
+    assert request.robot_hull is not None
+    urdf = SourceFile(name="arm.urdf", content=(folder / "arm.urdf").read_bytes())
+    hull = spherize_robot((urdf,), params=request.robot_hull)
+    return build_problem(request.layout.problem, urdf, hull, None)
+
+
+def test_a_tool_without_links_is_the_point_and_its_hull(tmp_path: Path) -> None:
+    tool = [{"sphere": {"radius": "30 mm"}, "pose": {"position": ["0 m", "0 m", "0.1 m"]}}]
+    problem = problem_of(write_layout(tmp_path, robot={**ROBOT, "tool_hull": tool}))
+    assert problem.robot_spheres.link.tolist() == [0, 2, 2]
+    np.testing.assert_allclose(problem.robot_spheres.radii, [0.2, 0.02, 0.03])
+
+
+def test_a_way_may_say_how_fast_it_turns(tmp_path: Path) -> None:
+    turn = {"position": ["0 m", "0 m", "0.5 m"], "rotation": ["0 deg", "0 deg", "90 deg"]}
+    line = [{"position": ["0 m", "0 m", "0.5 m"]}, turn]
+    way = {"line": line, "target": "position", "speed": "0.1 m/s"}
+    for turn_speed, expected in (({}, math.pi / 2.0), ({"turn_speed": "45 deg/s"}, 2.0)):
+        blue = table("blue", approaches=[{**way, **turn_speed}])
+        problem = problem_of(write_layout(tmp_path, stations=[blue, table("red")]))
+        assert problem.stations[0].approaches[0].duration_s == pytest.approx(expected)
+
+
 def hulled(hull: Any) -> list[dict[str, Any]]:
     return [table("blue", hull=[hull]), table("red")]
 
@@ -110,6 +160,7 @@ def hulled(hull: Any) -> list[dict[str, Any]]:
         ({"stations": []}, "needs at least 1"),
         ({"stations": [table("blue"), table("blue")]}, "'blue' names something else too (line "),
         ({"stations": [table("home"), table("red")]}, "means the robot's home configuration"),
+        ({"stations": [table("robot base"), table("red")]}, "means a part of the robot"),
         ({"sequence": ["blu", "red"]}, "'blu' is no station and no approach of one: did you mean blue?"),
         ({"sequence": ["home", "red"]}, "visits home, but robot.home is missing"),
         ({"sequence": ["red"]}, "the robot makes 1 visits: a transition needs two"),
@@ -137,6 +188,22 @@ def hulled(hull: Any) -> list[dict[str, Any]]:
         ({"workspace": {"min": ["0 m", "0 m", "0 m"], "max": ["1 m", "-1 m", "1 m"]}}, "in y: widen it by more than"),
         ({"walls": [{"name": "w", "normal": [0, 0, 0], "offset": "0 m"}]}, "has no direction"),
         (
+            {"walls": [{"name": "w", "normal": [1e308, 1e308, 0], "offset": "0 m"}]},
+            "of length 1.41e+308 has",
+        ),
+        (
+            {"stations": [table("blue", harness={"joints": [{"slide": [1e308, 1e308, 0], "range": ["0 m", "1 m"]}]})]},
+            "is too long for a direction",
+        ),
+        (
+            {"stations": [table("blue", hull=[{"box": {"size": 3 * ["1 m"]}, "cells": [9, 9, 9]}]), table("red")]},
+            "a hull has 729 spheres: 512 is the most that it may have: use fewer",
+        ),
+        (
+            {"stations": [table("blue", hull=9 * [{"box": {"size": 3 * ["1 m"]}, "count": 500}]), table("red")]},
+            "all hulls have 4501 spheres: 4096 can be checked: use fewer",
+        ),
+        (
             {"stations": hulled({"box": {"size": ["1 m"] * 3}, "sphere": {"radius": "1 m"}})},
             "a hull has box and sphere",
         ),
@@ -158,8 +225,11 @@ def test_a_mistake_is_named_with_its_mend(tmp_path: Path, changes: dict[str, Any
 @pytest.mark.parametrize(
     ("ends", "message"),
     [
-        (["100 deg", "-100 deg"], "is reversed, from 100 deg to -100 deg"),
-        (["10 deg", "10 deg"], "is empty, from 10 deg to 10 deg"),
+        (
+            ["100 deg", "-100 deg"],
+            "is reversed, from 100 deg to -100 deg, its lower end 200 deg above its upper end: write [",
+        ),
+        (["10 deg", "10 deg"], "is empty, from 10 deg to 10 deg, 0 deg wide: any width above that makes it a range"),
     ],
 )
 def test_a_harness_with_an_empty_range_is_refused(tmp_path: Path, ends: list[str], message: str) -> None:
@@ -177,3 +247,34 @@ def test_a_file_of_tasks_is_told_apart() -> None:
 def test_an_inspections_file_is_told_apart() -> None:
     with pytest.raises(InvalidInputError, match="describes an inspection, not a layout: run cellwright inspect"):
         load_layout_file(PROJECT / "examples" / "grooved_cylinder.yaml")
+
+
+@pytest.mark.parametrize(
+    ("wrong", "key", "message"),
+    [
+        (('lower="-2.9" upper="2.9"', ""), "model", "joint 'shoulder' has lower limit 0 and upper limit 0 rad, as it"),
+        (('lower="-2.9"', 'lower="3.1"'), "model", "move them apart by more than 0.2 rad"),
+        (('velocity="1.5"', ""), "model", "joint 'shoulder' has no velocity limit: add velocity to its <limit>"),
+        (('xyz="0.6 0 0"', 'xyz="600 0 0"'), "model", "the arm reaches 601.2 m, but 50 m is the most"),
+        (("0.5 0.06 0.06", "500 60 60"), "model", "link 'upper' has a length or offset of 500 m"),
+        (("0.5 0.06 0.06", "0 0.06 0.06"), "model", "link 'upper' has size [0.0, 0.06, 0.06]: it must be positive"),
+        (('name="hand"', 'name="palm"'), "model", "names link 'hand', which the URDF does not have"),
+        (("<robot", "<robo"), "model", "the URDF is not valid XML"),
+        (("", ""), "flange_link", "has no link 'gone'"),
+    ],
+)
+def test_a_malformed_robot_is_named_with_its_mend(
+    tmp_path: Path, wrong: tuple[str, str], key: str, message: str
+) -> None:
+    (tmp_path / "arm.urdf").write_text(gripper_urdf().replace(*wrong))
+    path = write_layout(tmp_path, **gripping(**({"flange_link": "gone"} if key == "flange_link" else {})))
+    with pytest.raises(InvalidInputError) as refused:
+        load_layout_file(path)
+    assert f"robot.{key}: arm.urdf: " in str(refused.value) and message in str(refused.value)
+
+
+def test_a_way_with_a_speed_does_not_stand_still(tmp_path: Path) -> None:
+    still = {"path": 2 * [{"position": ["0 m", "0 m", "0.5 m"]}], "target": "position", "speed": "0.1 m/s"}
+    path = write_layout(tmp_path, stations=[table("blue", approaches=[still]), table("red")])
+    with pytest.raises(InvalidInputError, match="poses 1 and 2 of the way are the same"):
+        load_layout_file(path)

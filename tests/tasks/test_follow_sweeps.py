@@ -15,8 +15,9 @@ from cellwright.cell.transforms import inverse, pose, quaternion_from_rotation
 from cellwright.errors import InvalidInputError
 from schemas.artefact import digest
 from schemas.cell_objects import build_cell, packed_bodies
+from schemas.sweep_params import SweepParams
 from schemas.views import Measurability, Reachability, Viewpoints
-from tasks.follow_sweeps import SweepParams, follow_sweeps
+from tasks.follow_sweeps import follow_sweeps
 from tests.cellwright.solvers import scanning_cell
 from tests.tasks.goldens import check_golden, rounded
 from tests.tasks.scanning_artefacts import PART_POSE, T_WORLD_PART, cell_model, part_mesh

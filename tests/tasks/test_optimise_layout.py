@@ -14,7 +14,7 @@ from flows.layout_requests import LayoutRequest, layout_request
 from schemas.artefact import digest
 from schemas.layout import Layout
 from schemas.layout_file import LayoutFile
-from schemas.layout_objects import build_problem, drawn
+from schemas.layout_objects import build_problem, drawn, drawn_before
 from schemas.layout_summary import refusal_of
 from tasks.optimise_layout import optimise_layout
 from tests.small_layout import CYCLE_S, SPEED_RAD_S, TURN_RAD, document, table
@@ -95,13 +95,37 @@ def test_acceleration_limits_make_the_cycle_that_of_two_trapezoids() -> None:
     assert layout.cycle_s == pytest.approx(expected, rel=5e-3)
 
 
+def test_with_acceleration_limits_the_layout_before_is_drawn_as_smoothly_as_the_one_after() -> None:
+    apart = table("red", pose={"rotation": ["0 deg", "0 deg", "90 deg"]})
+    layout = solved(stations=[table("blue"), apart], solver={"starts": 1, "begin": "placed", "method": "second_order"})
+    (there, back) = drawn_before(layout).transitions
+    assert there.velocity is not None and back.velocity is not None
+    np.testing.assert_array_equal(there.velocity[[0, -1]], 0.0)
+    # a cubic share of the way would be 1/32 after an eighth of the time, a straight line 1/8
+    share = (there.at(np.array([0.125 * there.duration_s])) - there.q[0])[0, 0] / (there.q[-1] - there.q[0])[0]
+    assert share < 0.1
+
+
+def test_a_layout_before_that_overlaps_is_no_cycle_to_compare_with() -> None:
+    joints = [
+        {"name": "around", "turn": "z", "range": ["-5 deg", "5 deg"]},
+        {"offset": {"position": ["0.9 m", "0 m", "0 m"]}},
+    ]
+    layout = solved(
+        stations=[table("blue", harness={"joints": joints}), table("red", harness={"joints": joints})],
+        solver={"starts": 1},
+    )
+    assert np.isnan(layout.before_cycle_s)
+    assert "blue and red overlap" in layout.before_blocking
+
+
 def test_a_station_out_of_reach_is_named_with_what_it_lacks() -> None:
     far = table("red", harness=None, pose={"position": ["1.5 m", "0 m", "0 m"]})
     layout = solved(stations=[table("blue"), far], solver={"starts": 1})
     assert not layout.converged
     assert layout.requirement[0] == "red is out of reach"
     assert layout.excess[0] == pytest.approx(0.3, abs=0.01)  # the tool reaches 1.2 m
-    assert "red is out of reach (relax it by 0.3" in refusal_of(layout)
+    assert "red is out of reach (relax it by 0.3" in refusal_of(layout, sought=True)
 
 
 def test_extras_may_be_left_out() -> None:
@@ -115,7 +139,8 @@ def test_the_result_is_the_one_of_this_version() -> None:
     layout = two_tables()
     loose = ("value", "T_world_body", "approach_position", "found", "trial_endpoint_m", "trial_penetration_m")
     blank = {name: np.zeros_like(getattr(layout, name)) for name in (*loose, "trial_iterations")}
-    states = ("transition", "time_s", "position", "velocity", "before_transition", "before_time_s", "before_position")
+    states = ("transition", "time_s", "position", "velocity", "before_transition", "before_time_s")
+    states += ("before_position", "before_velocity")
     empty = {name: getattr(layout, name)[:0] for name in states}
     facts = {name: round(getattr(layout, name), 3) for name in ("cycle_s", "transition_s", "before_cycle_s")}
     check_golden(optimise_layout, rounded(layout, 3, **blank, **empty, **facts, best_start=0))

@@ -9,7 +9,8 @@ import pytest
 from cellwright.errors import InfeasibleError, InvalidInputError
 from schemas.artefact import digest
 from schemas.poses import Pose
-from tasks.stitch_sweeps import StitchParams, stitch_sweeps
+from schemas.sweep_params import StitchParams
+from tasks.stitch_sweeps import stitch_sweeps
 from tests.cellwright.solvers import scanning_cell
 from tests.tasks.goldens import check_golden
 from tests.tasks.scanning_artefacts import PART_POSE, cell_model, part_mesh, reachability, viewpoints

@@ -45,7 +45,7 @@ def test_an_attempt_has_no_report() -> None:
     far = table("red", harness=None, pose={"position": ["1.5 m", "0 m", "0 m"]})
     changes = {"stations": [table("blue"), far], "solver": {"starts": 1}}
     layout = solved(**changes)
-    with pytest.raises(InfeasibleError, match="red is out of reach"):
+    with pytest.raises(InfeasibleError, match=r"missed its gate: red is not met by 0\.3 m"):
         write_layout_report(None, None, None, layout, params=request(**changes).report)
 
 

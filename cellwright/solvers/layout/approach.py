@@ -22,6 +22,10 @@ _KNOT_RAD = 0.5
 MOST_KNOTS = 9
 _NEWTON_STEPS = 30
 _DAMPING = 1e-8
+JUMP = 0.1
+"""Step of a joint, rad or m, between two samples of an approach from which on samples are taken between them, and a
+jump if it is still there when they lie `_HALVINGS` times half as far apart."""
+_HALVINGS = 7
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,7 +180,7 @@ class Followed:
 
     Attributes:
         q: Configurations at the approach's poses, (n, joints).
-        dense_q: The same with poses in between, (m, joints).
+        dense_q: The same with poses in between, closer where the arm turns fast, (m, joints).
         dense_s: Time from each dense configuration to the next, (m - 1,); NaN where untimed.
         error_m, error_rad: Largest residual over all of them.
     """
@@ -186,6 +190,16 @@ class Followed:
     dense_s: FloatArray
     error_m: float
     error_rad: float
+
+    @property
+    def timed(self) -> bool:
+        """Whether there are several configurations with times between them."""
+        return len(self.dense_s) > 0 and bool(np.isfinite(self.dense_s).all())
+
+    @property
+    def jump(self) -> float:
+        """The largest step of a joint between two neighbouring configurations, rad or m."""
+        return float(np.abs(np.diff(self.dense_q, axis=0)).max(initial=0.0))
 
 
 def follow_approach(
@@ -198,8 +212,13 @@ def follow_approach(
     *,
     step_m: float = 0.005,
     step_rad: float = 0.05,
+    smooth: bool = False,
 ) -> Followed:
-    """Follow an approach through its given knots ``knot_q`` (knots, joints); the first and last stay as they are."""
+    """Follow an approach through its given knots ``knot_q`` (knots, joints); the first and last stay as they are.
+
+    What poses leave free goes in straight lines between knots, or ``smooth`` along a timed approach: with the constant
+    accelerations that a program on these knots reckons with.
+    """
     n = approach.n_poses
     if n == 1:
         T = T_base_station @ approach.T_station_tool[0]
@@ -208,17 +227,50 @@ def follow_approach(
     lengths, angles = piece_sizes(approach.T_station_tool)
     parts = np.maximum(np.ceil(np.maximum(lengths / step_m, angles / step_rad)), 1).astype(int)
     place = np.concatenate([np.linspace(i, i + 1, c, endpoint=False) for i, c in enumerate(parts.tolist())] + [[n - 1]])
+    guess = _at_knots(approach, knots, knot_q, place, smooth)
+
+    def met(place: FloatArray, guess: FloatArray) -> FloatArray:
+        goals = T_base_station @ poses_at(approach.T_station_tool, place)
+        return newton_steps(arm, T_flange_tool, guess, goals, approach.target)[0]
+
+    q = np.concatenate([knot_q[:1], met(place[1:-1], guess[1:-1]), knot_q[-1:]])
+    for _ in range(_HALVINGS):
+        wide = np.flatnonzero(np.abs(np.diff(q, axis=0)).max(axis=1) > JUMP)
+        if not len(wide):
+            break
+        between = 0.5 * (place[wide] + place[wide + 1])
+        q = np.insert(q, wide + 1, met(between, 0.5 * (q[wide] + q[wide + 1])), axis=0)
+        place = np.insert(place, wide + 1, between)
     goals = T_base_station @ poses_at(approach.T_station_tool, place)
-    guess = np.stack([np.interp(place, knots.place, column) for column in knot_q.T], axis=1)
-    inner, _ = newton_steps(arm, T_flange_tool, guess[1:-1], goals[1:-1], approach.target)
-    q = np.concatenate([knot_q[:1], inner, knot_q[-1:]])
     error = target_error(arm.flange_pose(q) @ T_flange_tool, goals, approach.target)
     if approach.durations_s is None:
         times = np.full(len(place) - 1, np.nan)
     else:
-        times = np.repeat(approach.durations_s / parts, parts)
-    at_poses = np.concatenate([[0], np.cumsum(parts)])
-    return Followed(q[at_poses], q, times, *_sizes(error))
+        times = approach.durations_s[np.floor(place[:-1]).astype(int)] * np.diff(place)
+    return Followed(q[np.searchsorted(place, np.arange(n))], q, times, *_sizes(error))
+
+
+def _at_knots(approach: Approach, knots: Knots, knot_q: FloatArray, place: FloatArray, smooth: bool) -> FloatArray:
+    """Return configurations (m, joints) at places (m,) between knots: straight lines, if ``smooth`` with round corners.
+
+    Round are means over the shortest time between two knots: so a speed changes evenly from one piece to the next.
+    """
+    if not (smooth and knots.timed and approach.durations_s is not None):
+        return np.stack([np.interp(place, knots.place, column) for column in knot_q.T], axis=1)
+    clock = np.concatenate([[0.0], np.cumsum(approach.durations_s)])
+    t, corner = (np.interp(each, np.arange(approach.n_poses), clock) for each in (place, knots.place))
+    pace = np.diff(knot_q, axis=0) / np.diff(corner)[:, None]
+    area = np.diff(corner)[:, None] * 0.5 * (knot_q[1:] + knot_q[:-1])
+    before = np.concatenate([np.zeros((1, knot_q.shape[1])), np.cumsum(area, axis=0)])
+
+    def integral(t: FloatArray) -> FloatArray:
+        # the first and the last piece go on beyond their ends
+        piece = np.clip(np.searchsorted(corner, t, side="right") - 1, 0, len(pace) - 1)
+        since = (t - corner[piece])[:, None]
+        return np.asarray(before[piece] + since * (knot_q[piece] + 0.5 * since * pace[piece]))
+
+    width = float(np.diff(corner).min())
+    return (integral(t + 0.5 * width) - integral(t - 0.5 * width)) / width
 
 
 def _sizes(error: FloatArray) -> tuple[float, float]:

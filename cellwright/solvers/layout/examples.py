@@ -11,29 +11,20 @@ import math
 
 import numpy as np
 
-from cellwright.arrays import FloatArray
 from cellwright.cell.built_in_robots import built_in_arm
 from cellwright.cell.harness import Harness, fixed_distance, planar
 from cellwright.cell.transforms import pose, rotation_from_rpy
-from cellwright.solvers.layout.bodies import RobotSpheres, Spheres, workspace_walls
+from cellwright.solvers.layout.bodies import (
+    RobotSpheres,
+    Spheres,
+    box_hull,
+    end_effector_point,
+    workspace_walls,
+)
 from cellwright.solvers.layout.problem import Approach, LayoutCost, LayoutProblem, Station, TargetKind
 
 DOWN = np.diag([1.0, -1.0, -1.0])
 """Rotation of a tool whose z points down."""
-
-
-def robot_points(n_links: int, T_last_tool: FloatArray, *, base_radius_m: float, tool_radius_m: float) -> RobotSpheres:
-    """Return the paper's end-effector point as a sphere on link ``n_links``, and a sphere that keeps the base free."""
-    centres = np.stack([np.array([0.0, 0.0, 0.5 * base_radius_m]), T_last_tool[:3, 3]])
-    return RobotSpheres(np.array([0, n_links]), centres, np.array([base_radius_m, tool_radius_m]))
-
-
-def box_hull(size_m: tuple[float, float, float], cells: tuple[int, int, int], centre_m: FloatArray) -> Spheres:
-    """Return spheres that contain a box: one about each cell of a grid, half the cell's diagonal as radius."""
-    edges = np.array(size_m) / np.array(cells)
-    offsets = [(np.arange(n) + 0.5) * edge - 0.5 * length for n, edge, length in zip(cells, edges, size_m)]
-    grid = np.stack(np.meshgrid(*offsets, indexing="ij"), axis=-1).reshape(-1, 3)
-    return Spheres(grid + np.asarray(centre_m, float), np.full(len(grid), 0.5 * float(np.linalg.norm(edges))))
 
 
 def station_distance_problem() -> LayoutProblem:
@@ -47,7 +38,7 @@ def station_distance_problem() -> LayoutProblem:
     target = Approach(pose(np.array([[0.0, 0.0, 0.5]]), np.eye(3)[None]), TargetKind.POSITION)
     room = (-1.2, 1.2)
     stations = tuple(Station(name, planar(room, room), table, (target,)) for name in ("blue", "red"))
-    spheres = robot_points(2, arm.T_last_flange, base_radius_m=0.2, tool_radius_m=0.02)
+    spheres = end_effector_point(arm, radius_m=0.02, base_radius_m=0.2)
     walls = workspace_walls(np.array([-1.4, -1.4, -np.inf]), np.array([1.4, 1.4, np.inf]), holds_robot=False)
     return LayoutProblem(arm, stations, robot_spheres=spheres, walls=walls)
 
@@ -113,7 +104,7 @@ def four_station_problem(robot: str = "kr180_r2500_extra", target: TargetKind = 
     stations = tuple(
         Station(f"station {number}", planar(side, side, z=(0.5, 0.8)), hull, (above,)) for number in range(1, 5)
     )
-    spheres = robot_points(arm.n_joints, arm.T_last_flange, base_radius_m=0.65, tool_radius_m=0.05)
+    spheres = end_effector_point(arm, radius_m=0.05, base_radius_m=0.65)
     return LayoutProblem(arm, stations, robot_spheres=spheres)
 
 
@@ -147,7 +138,7 @@ def two_machine_problem(robot: str, *, cells: int = 3, repeatability: float = 20
         approach = Approach(pose(out, np.repeat(inwards[None], len(out), axis=0)), target)
         side = (-3.5, 3.5)
         stations.append(Station(name, planar(side, side), hull, (approach,)))
-    spheres = robot_points(arm.n_joints, arm.T_last_flange, base_radius_m=0.6, tool_radius_m=0.1)
+    spheres = end_effector_point(arm, radius_m=0.1, base_radius_m=0.6)
     cost = LayoutCost(repeatability=repeatability, joint_deviation=(_JOINT_DEVIATION,) * arm.n_joints)
     column = np.eye(4)
     if prismatic:

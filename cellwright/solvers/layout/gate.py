@@ -1,27 +1,30 @@
 """The check of a layout on a dense time grid, made of numbers alone: it shares no expression with the solvers.
 
 Soft endpoints can cheat by centimetres and coarse grids cut into obstacles, so nothing that a program says of itself
-counts. Every transition is sampled each millisecond, every approach each 5 mm; what misses its tolerance is named.
+counts. Every transition is sampled each millisecond, every approach each 5 mm (`measures`); `judge` names what misses
+its tolerance.
+
+With acceleration limits a transition begins and ends at rest, or at the speed of the timed approach beside it. What is
+left between the two, and what an approach asks for at its corners, the joints have to take up within `blend_s`.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
-from dataclasses import dataclass
-
-import numpy as np
+from dataclasses import dataclass, replace
 
 from cellwright.arrays import FloatArray
-from cellwright.cell.transforms import inverse
-from cellwright.solvers.layout.approach import Followed, follow_approach, target_error
-from cellwright.solvers.layout.geometry import LayoutGeometry
+from cellwright.solvers.layout.approach import JUMP
+from cellwright.solvers.layout.geometry import LayoutGap, LayoutGeometry
+from cellwright.solvers.layout.measures import (
+    LayoutMeasures,
+    Worst,
+    beyond_range,
+    followed_approaches,
+    measure_layout,
+)
 from cellwright.solvers.layout.mesh import Mesh
-from cellwright.solvers.layout.problem import LayoutProblem
 from cellwright.solvers.layout.solution import Finding, GateReport, Transition
-
-_CHUNK_ELEMENTS = 2_000_000
-"""Gaps measured at once."""
 
 
 @dataclass(frozen=True)
@@ -33,9 +36,11 @@ class GateTolerances:
         layout_m: Penetration among stations, base and walls.
         endpoint_m, endpoint_rad: Tool pose at the ends of transitions.
         approach_m, approach_rad: Tool pose along an approach.
+        jump: Step of a joint between neighbours along an approach, rad or m.
         limit: Excess over position and design limits, rad or m.
-        ratio: Excess of speed and acceleration ratios over 1.
+        ratio: Excess of speed and acceleration ratios over 1, and of speeds at rest over 0.
         approach_ratio: The same along timed approaches, which the programs know by their knots only.
+        blend_s: Time in which joints may take up a step in speed on and beside timed approaches: they have corners.
         step_s: Time step of the grid.
     """
 
@@ -45,9 +50,11 @@ class GateTolerances:
     endpoint_rad: float = 1e-3
     approach_m: float = 1e-4
     approach_rad: float = 1e-4
+    jump: float = JUMP
     limit: float = 1e-6
     ratio: float = 1e-5
     approach_ratio: float = 0.05
+    blend_s: float = 0.02
     step_s: float = 1e-3
 
 
@@ -59,207 +66,149 @@ def check_layout(
     transitions: Sequence[Transition],
     tolerances: GateTolerances,
 ) -> tuple[GateReport, tuple[FloatArray, ...]]:
-    """Measure a solution; return the report and the configurations at every pose of every visit's approach.
+    """Measure and judge a solution; return the configurations at every pose of every visit's approach too.
 
     ``visit_q`` holds the configurations at each visit's knots.
     """
-    problem = geometry.problem
-    arm = problem.arm
-    findings: list[Finding] = []
-    followed = _followed(problem, mesh, design, visit_q)
-    path_q, path_s = _path_samples(transitions, tolerances.step_s)
-    names = [f"{problem.visit_name(t.start)} to {problem.visit_name(t.end)}" for t in transitions]
-    segments = [(f"from {name}", -1, q) for name, q in zip(names, path_q)]
-    segments += [
-        (f"along the approach of {problem.visit_name(visit)}", problem.visits[visit].station, each.dense_q)
-        for visit, each in enumerate(followed)
-        if each is not None and len(each.dense_q) > 1
-    ]
-    deepest, pair, place = _deepest(geometry, design, segments)
-    layout = geometry.worst_layout_gaps(design)
-    layout_violation = max(-layout[0].gap_m, 0.0) if layout else 0.0
-    endpoint_m, endpoint_rad, which = _endpoints(problem, design, transitions)
-    approach_m = max((each.error_m for each in followed if each is not None), default=0.0)
-    approach_rad = max((each.error_rad for each in followed if each is not None), default=0.0)
-    everything = np.concatenate([q for _, _, q in segments] + list(visit_q))
-    beyond = np.maximum(arm.lower - everything, everything - arm.upper).max(axis=0)
-    outside = np.maximum(problem.lower - design, design - problem.upper)
-    speed, acceleration = _rates(problem, path_q, path_s, transitions)
-    speed_on_approach = _approach_speed(problem, followed)
-
-    def missed(requirement: str, value: float, tolerance: float, unit: str) -> None:
-        if not value <= tolerance:
-            findings.append(Finding(requirement, value, unit))
-
-    missed(f"{pair[0]} enters {pair[1]} {place}", deepest, tolerances.path_m, "m")
-    if layout and layout_violation > tolerances.layout_m:
-        findings += [
-            Finding(f"{each.first} and {each.second} overlap", -each.gap_m, "m")
-            for each in layout
-            if each.gap_m < -tolerances.layout_m
-        ]
-    missed(f"{which} is not met", endpoint_m, tolerances.endpoint_m, "m")
-    missed(f"the orientation at {which} is not met", endpoint_rad, tolerances.endpoint_rad, "rad")
-    jump = max(
-        max(np.abs(t.q[0] - visit_q[t.start][-1]).max(), np.abs(t.q[-1] - visit_q[t.end][0]).max()) for t in transitions
-    )
-    missed("the joints jump between approach and transition", float(jump), tolerances.limit, "")
-    missed("an approach is not followed", approach_m, tolerances.approach_m + endpoint_m, "m")
-    missed("the orientation along an approach is not met", approach_rad, tolerances.approach_rad + endpoint_rad, "rad")
-    worst = int(np.argmax(beyond))
-    missed(f"joint {arm.joint_names[worst]!r} leaves its limits", float(beyond[worst]), tolerances.limit, "")
-    if problem.n_design:
-        worst = int(np.argmax(outside))
-        missed(f"{problem.design_names[worst]} leaves its range", float(outside[worst]), tolerances.limit, "")
-    missed("a joint is too fast", speed - 1.0, tolerances.ratio, "of its speed limit")
-    missed("a joint is too fast on an approach", speed_on_approach - 1.0, tolerances.approach_ratio, "of its limit")
-    missed("a joint accelerates too much", acceleration - 1.0, tolerances.ratio, "of its acceleration limit")
-    report = GateReport(
-        deepest,
-        pair,
-        layout_violation,
-        endpoint_m,
-        endpoint_rad,
-        approach_m,
-        approach_rad,
-        max(float(beyond.max()), 0.0),
-        max(float(outside.max()), 0.0) if problem.n_design else 0.0,
-        max(speed, speed_on_approach),
-        acceleration,
-        len(everything),
-        tuple(findings),
+    accelerated = all(each.velocity is not None for each in transitions)
+    followed = followed_approaches(geometry.problem, mesh, design, visit_q, smooth=accelerated)
+    measures = measure_layout(
+        geometry, design, visit_q, followed, transitions, step_s=tolerances.step_s, blend_s=tolerances.blend_s
     )
     at_poses = tuple(visit_q[visit] if each is None else each.q for visit, each in enumerate(followed))
-    return report, at_poses
+    return judge(measures, tolerances), at_poses
 
 
-def _followed(
-    problem: LayoutProblem, mesh: Mesh, design: FloatArray, visit_q: Sequence[FloatArray]
-) -> list[Followed | None]:
-    T_base_world = inverse(problem.base_pose(design))
-    T_stations = problem.station_poses(design)
-    found: list[Followed | None] = []
-    for visit, (knots, q) in enumerate(zip(mesh.knots, visit_q)):
-        approach = problem.approach_of(visit)
-        if approach is None or knots is None:
-            found.append(None)
-            continue
-        T_base_station = T_base_world @ T_stations[problem.visits[visit].station]
-        found.append(follow_approach(problem.arm, problem.T_flange_tool, approach, T_base_station, knots, q))
-    return found
+def judge(found: LayoutMeasures, tolerances: GateTolerances) -> GateReport:
+    """Return the report of what was measured, with a finding for everything that misses its tolerance."""
+    touching = Limit(
+        f"{found.pair[0]} enters {found.pair[1]} {found.path.name}", found.path.value, tolerances.path_m, "m"
+    )
+    limits = (
+        touching,
+        *_overlaps(found.gaps, tolerances),
+        *_pose_limits(found, tolerances),
+        *_rate_limits(found, tolerances),
+    )
+    return GateReport(
+        found.path.value,
+        found.pair,
+        _violation(found.gaps),
+        found.position.value,
+        found.turn.value,
+        found.approach_position.value,
+        found.approach_turn.value,
+        found.jump.value,
+        max(found.joint.value, 0.0),
+        max(found.design.value, 0.0),
+        max(found.speed.value, found.approach_speed.value),
+        max(found.acceleration.value, found.approach_acceleration.value),
+        found.rest.value,
+        found.handover.value,
+        found.n_samples,
+        _missed(limits),
+    )
 
 
-def _path_samples(transitions: Sequence[Transition], step_s: float) -> tuple[list[FloatArray], list[FloatArray]]:
-    """Return configurations and times of every transition on the grid, all of its own points included."""
-    paths, times = [], []
-    for transition in transitions:
-        count = max(100, math.ceil(transition.duration_s / step_s))
-        grid = np.unique(np.concatenate([np.linspace(0.0, transition.duration_s, count + 1), transition.times_s]))
-        paths.append(transition.at(grid))
-        times.append(grid)
-    return paths, times
+def rejudge_design(
+    report: GateReport, geometry: LayoutGeometry, design: FloatArray, tolerances: GateTolerances
+) -> GateReport:
+    """Return the report of a layout that was held fixed, its design judged by the problem in which it may move.
+
+    Bodies that stand still are not compared with each other, so a fixed layout alone does not tell their overlaps.
+    """
+    gaps, outside = tuple(geometry.worst_layout_gaps(design)), beyond_range(geometry.problem, design)
+    limits = [*_overlaps(gaps, tolerances), _range_limit(outside, tolerances)]
+    missed = _missed(limits)
+    known = {finding.requirement for finding in missed}
+    return replace(
+        report,
+        layout_violation_m=max(report.layout_violation_m, _violation(gaps)),
+        design_excess=max(outside.value, 0.0),
+        findings=(*missed, *(finding for finding in report.findings if finding.requirement not in known)),
+    )
 
 
-def _deepest(
-    geometry: LayoutGeometry, design: FloatArray, segments: Sequence[tuple[str, int, FloatArray]]
-) -> tuple[float, tuple[str, str], str]:
-    """Return the deepest penetration in m, the names of what touches, and where along the cycle."""
-    problem = geometry.problem
-    nothing = (0.0, ("nothing", "nothing"), "")
-    if not len(problem.robot_spheres):
-        return nothing
-    n_others = len(geometry.hull_radii) + len(problem.walls)
-    per_row = max(1, len(geometry.moving_spheres) * n_others + len(problem.robot_spheres.self_pairs))
-    chunk = max(1, _CHUNK_ELEMENTS // per_row)
-    best, where = 0.0, None
-    for place, own, q in segments:
-        for begin in range(0, len(q), chunk):
-            rows = q[begin : begin + chunk]
-            gaps = geometry.motion_gap(design, rows, own)
-            row = int(np.argmin(gaps))
-            if -gaps[row] > best:
-                best, where = -float(gaps[row]), (place, own, rows[row])
-    if where is None:
-        return nothing
-    place, own, row_q = where
-    return best, touching_bodies(geometry, design, row_q, own), place
+@dataclass(frozen=True)
+class Limit:
+    """What a requirement measures, by how much it may exceed ``nominal`` (1 for a ratio to a limit), and the unit."""
+
+    requirement: str
+    value: float
+    most: float
+    unit: str
+    nominal: float = 0.0
 
 
-def touching_bodies(geometry: LayoutGeometry, design: FloatArray, q: FloatArray, own: int) -> tuple[str, str]:
-    """Return the names of the two bodies with the smallest gap at a configuration (joints,)."""
-    problem = geometry.problem
-    robot = geometry.robot_world(problem.base_pose(design), q[None])
-    links = problem.robot_spheres.link
-
-    def link_name(sphere: int) -> str:
-        return f"the link behind {problem.arm.joint_names[links[sphere] - 1]!r}" if links[sphere] else "robot base"
-
-    options: list[tuple[float, tuple[str, str]]] = []
-    hull = geometry.hull_gaps(robot, geometry.hull_world(design))[0]
-    hull[:, geometry.hull_station == own] = np.inf
-    for gaps, names in (
-        (hull, [problem.stations[station].name for station in geometry.hull_station]),
-        (geometry.wall_gaps(robot)[0], [wall.name for wall in problem.walls]),
-    ):
-        if gaps.size:
-            one, other = np.unravel_index(int(np.argmin(gaps)), gaps.shape)
-            options.append((float(gaps[one, other]), (link_name(int(geometry.moving_spheres[one])), names[other])))
-    if len(problem.robot_spheres.self_pairs):
-        gaps = geometry.self_gaps(robot)[0]
-        one, other = problem.robot_spheres.self_pairs[int(np.argmin(gaps))].tolist()
-        options.append((float(gaps.min()), (link_name(one), link_name(other))))
-    return min(options)[1]
+def _missed(limits: Sequence[Limit]) -> tuple[Finding, ...]:
+    return tuple(
+        Finding(each.requirement, each.value - each.nominal, each.unit)
+        for each in limits
+        if not each.value - each.nominal <= each.most
+    )
 
 
-def _endpoints(
-    problem: LayoutProblem, design: FloatArray, transitions: Sequence[Transition]
-) -> tuple[float, float, str]:
-    """Return the largest position (m) and turn (rad) residual at the ends of transitions, and the visit's name."""
-    T_base_world, T_stations = inverse(problem.base_pose(design)), problem.station_poses(design)
-    position, turn, which = 0.0, 0.0, "a visit"
-    for transition in transitions:
-        for visit, row, pose in ((transition.start, -1, 0), (transition.end, 0, -1)):
-            approach = problem.approach_of(visit)
-            q = transition.q[pose]
-            if approach is None:
-                away = np.array([np.abs(q - problem.home_q).max(), 0.0])
-            else:
-                goal = T_base_world @ T_stations[problem.visits[visit].station] @ approach.T_station_tool[row]
-                error = target_error(problem.arm.flange_pose(q) @ problem.T_flange_tool, goal, approach.target)
-                away = np.array([np.linalg.norm(error[:3]), np.linalg.norm(error[3:])])
-            if away[0] > position:
-                position, which = float(away[0]), problem.visit_name(visit)
-            turn = max(turn, float(away[1]))
-    return position, turn, which
+def _violation(gaps: Sequence[LayoutGap]) -> float:
+    return max(-gaps[0].gap_m, 0.0) if gaps else 0.0
 
 
-def _rates(
-    problem: LayoutProblem, paths: Sequence[FloatArray], times: Sequence[FloatArray], transitions: Sequence[Transition]
-) -> tuple[float, float]:
-    """Return the largest joint speed and acceleration over their limits, by differences on the grid."""
-    arm = problem.arm
-    speed = acceleration = 0.0
-    for path, grid, transition in zip(paths, times, transitions):
-        steps = np.diff(grid)
-        keep = steps > 1e-9
-        rate = np.abs(np.diff(path, axis=0))[keep] / steps[keep, None]
-        speed = max(speed, float((rate / arm.max_velocity).max(initial=0.0)))
-        if transition.velocity is not None:
-            h = np.diff(transition.times_s)[:, None]
-            change = np.abs(np.diff(transition.velocity, axis=0)) / h
-            acceleration = max(acceleration, float((change / arm.max_acceleration).max()))
-            # positions and velocities must tell the same story
-            shift = np.diff(transition.q, axis=0) - 0.5 * h * (transition.velocity[1:] + transition.velocity[:-1])
-            drift = float(np.abs(shift / h / arm.max_velocity).max())
-            speed = max(speed, 1.0 + drift if drift > 1e-6 else 0.0)
-    return speed, acceleration
+def _overlaps(gaps: Sequence[LayoutGap], most: GateTolerances) -> list[Limit]:
+    return [Limit(f"{gap.first} and {gap.second} overlap", -gap.gap_m, most.layout_m, "m") for gap in gaps]
 
 
-def _approach_speed(problem: LayoutProblem, followed: Sequence[Followed | None]) -> float:
-    """Return the largest joint speed over its limit along timed approaches."""
-    worst = 0.0
-    for each in followed:
-        if each is not None and len(each.dense_q) > 1 and np.isfinite(each.dense_s).all():
-            rate = np.abs(np.diff(each.dense_q, axis=0)) / each.dense_s[:, None]
-            worst = max(worst, float((rate / problem.arm.max_velocity).max()))
-    return worst
+def _range_limit(design: Worst, most: GateTolerances) -> Limit:
+    return Limit(f"{design.name} leaves its range", design.value, most.limit, design.unit)
+
+
+def _pose_limits(found: LayoutMeasures, most: GateTolerances) -> list[Limit]:
+    turned = "home" if found.turn.name == "home" else f"the orientation at {found.turn.name}"
+    position_m, turn_rad = found.position.value, found.turn.value
+    followed, aligned, jumping = found.approach_position, found.approach_turn, found.jump
+    return [
+        Limit(f"{found.position.name} is not met", position_m, most.endpoint_m, "m"),
+        Limit(f"{turned} is not met", turn_rad, most.endpoint_rad, "rad"),
+        Limit(
+            f"the joints jump between approach and transition at {found.seam.name}",
+            found.seam.value,
+            most.limit,
+            found.seam.unit,
+        ),
+        Limit(f"the arm jumps on the approach of {jumping.name}", jumping.value, most.jump, jumping.unit),
+        Limit(f"the approach of {followed.name} is not followed", followed.value, most.approach_m + position_m, "m"),
+        Limit(
+            f"the orientation along the approach of {aligned.name} is not met",
+            aligned.value,
+            most.approach_rad + turn_rad,
+            "rad",
+        ),
+        Limit(f"{found.joint.name} leaves its limits", found.joint.value, most.limit, found.joint.unit),
+        _range_limit(found.design, most),
+    ]
+
+
+def _rate_limits(found: LayoutMeasures, most: GateTolerances) -> list[Limit]:
+    speed, acceleration = "of its speed limit", "of its acceleration limit"
+    on_approach = f"on the approach of {found.approach_speed.name}"
+    accelerated = f"on the approach of {found.approach_acceleration.name}"
+    return [
+        Limit(f"{found.speed.name} is too fast", found.speed.value, most.ratio, speed, 1.0),
+        Limit(f"a joint is too fast {on_approach}", found.approach_speed.value, most.approach_ratio, speed, 1.0),
+        Limit(
+            f"{found.acceleration.name} accelerates too much", found.acceleration.value, most.ratio, acceleration, 1.0
+        ),
+        Limit(
+            f"a joint accelerates too much {accelerated}",
+            found.approach_acceleration.value,
+            most.approach_ratio,
+            acceleration,
+            1.0,
+        ),
+        Limit(f"the arm does not stand still at {found.rest.name}", found.rest.value, most.ratio, speed),
+        Limit(
+            f"the joints take up the speed of the approach of {found.handover.name} too slowly",
+            found.handover.value,
+            0.0,
+            "s",
+            most.blend_s,
+        ),
+    ]

@@ -1,7 +1,8 @@
 """Distances in a layout as plain numbers: robot against stations, walls and itself, and stations against each other.
 
-Every distance is a gap: centre distance less both radii less the clearance, negative inside. Two things that both
-stand still are not measured against each other (obstacles may overlap), except a workstation against a wall.
+Every distance is a gap: centre distance less both radii, negative inside. Between bodies, and between the moving robot
+and a wall, it is less the clearance too; what stands may touch a wall, and the robot's links each other. Two things
+that both stand still are not measured against each other (obstacles may overlap), except a workstation against a wall.
 """
 
 from __future__ import annotations
@@ -12,7 +13,14 @@ from functools import cached_property
 import numpy as np
 
 from cellwright.arrays import FloatArray, IntArray
+from cellwright.cell.harness import Harness
+from cellwright.cell.serial_arm import chain_poses
 from cellwright.solvers.layout.problem import LayoutProblem
+
+ROBOT_BASE = "robot base"
+"""What people call the spheres on link 0."""
+_PARALLEL = 1e-9
+"""Largest cosine of a right angle, and sine of none, between a base's joint and a wall."""
 
 
 @dataclass(frozen=True)
@@ -76,6 +84,43 @@ class LayoutGeometry:
         return np.stack(np.meshgrid(walls, hull, indexing="ij"), axis=-1).reshape(-1, 2)
 
     @cached_property
+    def base_wall_pairs(self) -> IntArray:
+        """Pairs (wall, robot sphere on link 0) of walls that hold the robot and its base moves against, (pairs, 2).
+
+        A base that only slides and turns along a wall, as on a floor, keeps its distance: no design changes it.
+        """
+        base = self.problem.base
+        axes = _axes_in_world(base)
+        walls = [
+            number
+            for number, wall in enumerate(self.problem.walls)
+            if wall.holds_robot
+            and any(
+                np.linalg.norm(np.cross(axis, wall.normal)) > _PARALLEL
+                if turns
+                else abs(axis @ wall.normal) > _PARALLEL
+                for axis, turns, span in zip(axes, base.revolute, base.upper - base.lower)
+                if span > 0.0
+            )
+        ]
+        spheres = np.flatnonzero(self.problem.robot_spheres.link == 0)
+        pairs = np.stack(np.meshgrid(np.array(walls, np.int64), spheres, indexing="ij"), axis=-1)
+        return pairs.reshape(-1, 2)
+
+    @property
+    def pair_families(self) -> tuple[IntArray, IntArray, IntArray, IntArray]:
+        """`layout_pairs`, `base_pairs`, `wall_pairs` and `base_wall_pairs`, in the order of `layout_gaps`."""
+        return self.layout_pairs, self.base_pairs, self.wall_pairs, self.base_wall_pairs
+
+    @cached_property
+    def pair_names(self) -> tuple[tuple[list[str], list[str]], ...]:
+        """The names behind both columns of each of `pair_families`, by the number that stands there."""
+        hull = [self.problem.stations[station].name for station in self.hull_station.tolist()]
+        base = [ROBOT_BASE] * len(self.problem.robot_spheres)
+        walls = [wall.name for wall in self.problem.walls]
+        return (hull, hull), (base, hull), (walls, hull), (walls, base)
+
+    @cached_property
     def moving_spheres(self) -> IntArray:
         """The robot spheres on links that move against the base."""
         return np.flatnonzero(self.problem.robot_spheres.link > 0)
@@ -109,23 +154,28 @@ class LayoutGeometry:
         links = (T_world_base[..., None, :, :] @ self.problem.arm.link_poses(q))[..., spheres.link, :, :]
         return np.asarray((links[..., :3, :3] @ spheres.centres[:, :, None])[..., 0] + links[..., :3, 3])
 
-    def layout_gaps(self, design: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return gaps in m of `layout_pairs`, `base_pairs` and `wall_pairs`, each (..., pairs), of (..., n_design)."""
-        problem = self.problem
+    def layout_gaps(self, design: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Return gaps in m of all `pair_families`, each (..., pairs), at designs (..., n_design)."""
+        problem, spheres = self.problem, self.problem.robot_spheres
         hull = self.hull_world(design)
         one, other = self.layout_pairs.T
         apart = np.linalg.norm(hull[..., one, :] - hull[..., other, :], axis=-1)
         stations = apart - self.hull_radii[one] - self.hull_radii[other] - problem.clearance_m
-        sphere, body = self.base_pairs.T
         T_base = problem.base_pose(design)
-        centres = problem.robot_spheres.centres @ np.swapaxes(T_base[..., :3, :3], -1, -2) + T_base[..., None, :3, 3]
+        centres = spheres.centres @ np.swapaxes(T_base[..., :3, :3], -1, -2) + T_base[..., None, :3, 3]
+        sphere, body = self.base_pairs.T
         apart = np.linalg.norm(centres[..., sphere, :] - hull[..., body, :], axis=-1)
-        base = apart - problem.robot_spheres.radii[sphere] - self.hull_radii[body] - problem.clearance_m
-        wall, body = self.wall_pairs.T
-        normals = np.array([each.normal for each in problem.walls]).reshape(-1, 3)
-        offsets = np.array([each.offset_m for each in problem.walls])
-        walls = np.einsum("...ij,ij->...i", hull[..., body, :], normals[wall]) - offsets[wall] - self.hull_radii[body]
-        return stations, base, walls
+        base = apart - spheres.radii[sphere] - self.hull_radii[body] - problem.clearance_m
+        walls = self._from_walls(self.wall_pairs, hull, self.hull_radii)
+        return stations, base, walls, self._from_walls(self.base_wall_pairs, centres, spheres.radii)
+
+    def _from_walls(self, pairs: IntArray, centres: FloatArray, radii: FloatArray) -> FloatArray:
+        """Return how far spheres (..., spheres, 3) are inside walls in m, (..., pairs), of pairs (wall, sphere)."""
+        normals = np.array([each.normal for each in self.problem.walls]).reshape(-1, 3)
+        offsets = np.array([each.offset_m for each in self.problem.walls])
+        wall, sphere = pairs.T
+        reach = np.einsum("...ij,ij->...i", centres[..., sphere, :], normals[wall])
+        return np.asarray(reach - offsets[wall] - radii[sphere])
 
     def layout_violation(self, design: FloatArray) -> FloatArray:
         """Return the sum of all penetrations in the layout in m, (...,), of designs (..., n_design); 0 is feasible."""
@@ -136,56 +186,66 @@ class LayoutGeometry:
 
     def worst_layout_gaps(self, design: FloatArray) -> list[LayoutGap]:
         """Return the smallest gap of each pair of bodies (stations, base, walls), smallest first."""
-        names = [station.name for station in self.problem.stations]
-        owner = [names[station] for station in self.hull_station]
         worst: dict[tuple[str, str], float] = {}
-        firsts = (owner, ["robot base"] * len(self.problem.robot_spheres), [w.name for w in self.problem.walls])
-        pairs = (self.layout_pairs, self.base_pairs, self.wall_pairs)
-        for first, rows, gaps in zip(firsts, pairs, self.layout_gaps(design)):
+        for (first, second), rows, gaps in zip(self.pair_names, self.pair_families, self.layout_gaps(design)):
             for (one, other), gap in zip(rows.tolist(), gaps.tolist()):
-                key = (first[one], owner[other])
+                key = (first[one], second[other])
                 worst[key] = min(gap, worst.get(key, np.inf))
         return sorted((LayoutGap(*key, gap) for key, gap in worst.items()), key=lambda each: each.gap_m)
 
     def hull_gaps(self, robot_world: FloatArray, hull_world: FloatArray) -> FloatArray:
-        """Return gaps (n, moving robot spheres, hull spheres) in m of (n, robot spheres, 3) to (hull spheres, 3)."""
+        """Return gaps (..., moving robot spheres, hull spheres) in m of all robot spheres to hull spheres.
+
+        ``robot_world`` (..., robot spheres, 3) and ``hull_world`` (..., hull spheres, 3) broadcast.
+        """
         moving = self.moving_spheres
         # |a - b|^2 as a product of matrices, about the middle so that it loses nothing: no array of differences
-        middle = hull_world.mean(axis=0) if len(hull_world) else np.zeros(3)
-        robot, hull = robot_world[:, moving] - middle, hull_world - middle
-        square = (robot**2).sum(axis=-1)[..., None] + (hull**2).sum(axis=-1) - 2.0 * (robot @ hull.T)
+        middle = hull_world.mean(axis=-2, keepdims=True) if hull_world.shape[-2] else np.zeros((1, 3))
+        robot, hull = robot_world[..., moving, :] - middle, hull_world - middle
+        square = (robot**2).sum(axis=-1)[..., None] + (hull**2).sum(axis=-1)[..., None, :]
+        square = square - 2.0 * (robot @ np.swapaxes(hull, -1, -2))
         radii = self.problem.robot_spheres.radii[moving][:, None] + self.hull_radii
         return np.asarray(np.sqrt(np.maximum(square, 0.0)) - (radii + self.problem.clearance_m))
 
     def wall_gaps(self, robot_world: FloatArray) -> FloatArray:
-        """Return gaps (n, moving robot spheres, walls) in m; infinite for walls that do not hold the robot."""
+        """Return gaps (..., moving robot spheres, walls) in m; infinite for walls that do not hold the robot."""
         moving = self.moving_spheres
-        gaps = np.full((len(robot_world), len(moving), len(self.problem.walls)), np.inf)
+        gaps = np.full((*robot_world.shape[:-2], len(moving), len(self.problem.walls)), np.inf)
         for column, wall in enumerate(self.problem.walls):
             if wall.holds_robot:
-                reach = robot_world[:, moving] @ wall.normal - wall.offset_m
-                gaps[:, :, column] = reach - self.problem.robot_spheres.radii[moving]
+                reach = robot_world[..., moving, :] @ wall.normal - wall.offset_m - self.problem.clearance_m
+                gaps[..., column] = reach - self.problem.robot_spheres.radii[moving]
         return gaps
 
     def self_gaps(self, robot_world: FloatArray) -> FloatArray:
-        """Return gaps (n, self pairs) in m."""
+        """Return gaps (..., self pairs) in m of robot spheres (..., spheres, 3)."""
         one, other = self.problem.robot_spheres.self_pairs.T
         radii = self.problem.robot_spheres.radii
-        apart = np.linalg.norm(robot_world[:, one] - robot_world[:, other], axis=-1)
+        apart = np.linalg.norm(robot_world[..., one, :] - robot_world[..., other, :], axis=-1)
         return np.asarray(apart - radii[one] - radii[other])
 
     def motion_gap(self, design: FloatArray, q: FloatArray, own_station: int = -1) -> FloatArray:
-        """Return the smallest gap (n,) in m of the robot at configurations ``q`` (n, joints) to everything.
+        """Return the smallest gap (..., n) in m of the robot at configurations ``q`` (..., n, joints) to everything.
 
-        Hulls of ``own_station`` are left out: an approach is free of collisions with its own station by definition.
+        Of one design (n_design,), or of one for each row of ``q`` (..., n_design). Hulls of ``own_station`` are left
+        out: an approach is free of collisions with its own station by definition.
         """
-        robot = self.robot_world(self.problem.base_pose(design), q)
-        gaps = np.full(len(q), np.inf)
+        robot = self.robot_world(self.problem.base_pose(design)[..., None, :, :], q)
+        gaps = np.full(q.shape[:-1], np.inf)
         others = self.hull_station != own_station
-        families = (self.hull_gaps(robot, self.hull_world(design))[:, :, others], self.wall_gaps(robot))
-        for family in families:
-            if family.size:
-                gaps = np.minimum(gaps, family.reshape(len(q), -1).min(axis=1))
+        if len(self.moving_spheres) and others.any():
+            between = self.hull_gaps(robot, self.hull_world(design)[..., None, :, :])
+            gaps = np.minimum(gaps, between[..., others].min(axis=(-2, -1)))
+        if len(self.moving_spheres) and len(self.problem.walls):
+            gaps = np.minimum(gaps, self.wall_gaps(robot).min(axis=(-2, -1)))
         if len(self.problem.robot_spheres.self_pairs):
-            gaps = np.minimum(gaps, self.self_gaps(robot).min(axis=1))
+            gaps = np.minimum(gaps, self.self_gaps(robot).min(axis=-1))
         return gaps
+
+
+def _axes_in_world(harness: Harness) -> FloatArray:
+    """Return the axes (joints, 3) of a harness in the world with its joints at their lower limits."""
+    if not harness.n_joints:
+        return np.zeros((0, 3))
+    links = chain_poses(harness.T_parent_joint, harness.axis, harness.revolute, harness.lower)[-harness.n_joints :]
+    return np.asarray((links[:, :3, :3] @ harness.axis[:, :, None])[..., 0])

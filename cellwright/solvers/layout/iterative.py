@@ -8,16 +8,13 @@ every target is a full pose, ``sum max|dq|/v`` of the best branches bounds the c
 that cannot beat their own best are dropped; and the small program is built once and run with its design held fixed.
 
 Particles of a generation are independent and come back in order, so the number of processes cannot change the result.
-(Threads would not help: the nonlinear programs hold the interpreter's lock.)
+(Threads would not help: the nonlinear programs hold the interpreter's lock.) Straight motions between full poses need
+no program: they are timed on the spot, and processes begin only when something has to be optimised.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
-from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from multiprocessing import get_context
 
 import numpy as np
 
@@ -25,6 +22,7 @@ from cellwright.arrays import FloatArray
 from cellwright.solvers.layout.approach import base_goals, newton_steps
 from cellwright.solvers.layout.checks import missing_checks, samples_of
 from cellwright.solvers.layout.configurations import ConfigurationFinder, VisitConfigurations
+from cellwright.solvers.layout.fixed_layout import time_layout
 from cellwright.solvers.layout.mesh import Checks, build_mesh
 from cellwright.solvers.layout.nlp import LayoutPoint, build_layout_nlp, run_layout_nlp
 from cellwright.solvers.layout.problem import LayoutProblem, TargetKind
@@ -35,17 +33,19 @@ from cellwright.solvers.layout.proxies import (
     Sequence,
     sequence_of,
     step_metric,
-    time_layout,
 )
+from cellwright.solvers.layout.rounds import CLEAR_M
 from cellwright.solvers.layout.sequences import cheapest_sums
 from cellwright.solvers.layout.solution import LayoutSolution
 from cellwright.solvers.layout.staged import StagedSettings, path_between
 from cellwright.solvers.layout.start import segment_times
 from cellwright.solvers.layout.symbols import LayoutSymbols
 from cellwright.solvers.particle_swarm import SwarmSettings, minimise
+from cellwright.worker_processes import WorkerProcesses
 
-_CLEAR_M = 2e-4
-"""Penetration at a sample that still counts as clear, as in the staged solver."""
+_LEAST_SHARED = 8
+"""Particles of a generation that need a program before other processes are asked: these take a second or two to
+begin."""
 
 
 @dataclass(frozen=True)
@@ -57,14 +57,14 @@ class IterativeSettings:
         inner: The trajectory optimisation of each particle, where a motion must lead around something.
         trajectory: The one that times the final layout.
         reject_early: Whether particles that provably cannot improve are dropped; off only to measure what it saves.
-        n_processes: Processes that evaluate particles; more than one needs a script with a main guard.
+        n_processes: Processes that evaluate particles; None: as many as there are cores.
     """
 
     swarm: SwarmSettings = field(default_factory=SwarmSettings)
     inner: StagedSettings = field(default_factory=lambda: StagedSettings(n_coarse=6, n_bends=1, most_rounds=6))
     trajectory: StagedSettings = field(default_factory=lambda: StagedSettings(n_branches=3, n_sweeps=0))
     reject_early: bool = True
-    n_processes: int = 1
+    n_processes: int | None = None
 
 
 class CycleTimes:
@@ -78,46 +78,68 @@ class CycleTimes:
         self._nlp = build_layout_nlp(self.symbols, self.mesh, Checks())
         self._program = self._nlp.program.compiled(most_iterations=settings.most_iterations)
 
-    def of(self, design: FloatArray, sequence: Sequence, seed: int) -> float:
+    def __call__(self, design: FloatArray, sequence: Sequence, seed: int) -> float:
         """Return the cycle time in s of a design (n_design,) from a sequence of configurations.
 
         1000 and more if no clear cycle was found, as for a proxy's penalty.
         """
-        approach_s = sum(
-            approach.duration_s
-            for visit in range(len(self.problem.visits))
-            if (approach := self.problem.approach_of(visit)) is not None
-        )
         point = self._stations(design, sequence)
         if point is None:
-            return approach_s + PENALTY + sequence.joint_time_s
+            return self._approach_s + PENALTY + sequence.joint_time_s
+        time, blocked = self._straight(point)
+        if time is not None:
+            return time
+        return self._approach_s + self._around(point, blocked, np.random.default_rng(seed))
+
+    def without_program(self, design: FloatArray, sequence: Sequence) -> float | None:
+        """Return the same where it takes no program, else None."""
+        if not self._nothing_free:
+            return None
+        return self._straight(self._straight_point(design, sequence))[0]
+
+    def _straight(self, point: LayoutPoint) -> tuple[float | None, set[int]]:
+        """Return the cycle time of straight motions, and which transitions are blocked where there is none yet."""
         samples = samples_of(self.symbols.geometry, self.mesh, point)
         missing, deepest = missing_checks(self.symbols.geometry, point, samples, motion_only=True)
-        if deepest <= _CLEAR_M:
-            return approach_s + float(point.times.sum())
+        straight = self._approach_s + float(point.times.sum())
+        if deepest <= CLEAR_M:
+            return straight, set()
         blocked = set(missing.motion[:, 2].tolist())
-        if -1 in blocked:
-            # along an approach no path can help
-            return approach_s + PENALTY + float(point.times.sum())
-        return approach_s + self._around(point, blocked, np.random.default_rng(seed))
+        # along an approach no path can help
+        return (PENALTY + straight if -1 in blocked else None), blocked
+
+    @property
+    def _approach_s(self) -> float:
+        approaches = [self.problem.approach_of(visit) for visit in range(len(self.problem.visits))]
+        return sum(approach.duration_s for approach in approaches if approach is not None)
+
+    @property
+    def _single(self) -> bool:
+        return self.mesh.n_configs == len(self.problem.visits)
+
+    @property
+    def _nothing_free(self) -> bool:
+        """Whether every visit is a single full pose, or home."""
+        return self.bound_by_poses and self._single
+
+    def _straight_point(self, design: FloatArray, sequence: Sequence) -> LayoutPoint:
+        q = self.mesh.interpolated(self._knots(design, sequence))
+        return LayoutPoint(np.array(design, float), q, segment_times(self.problem, self.mesh, q))
 
     def _stations(self, design: FloatArray, sequence: Sequence) -> LayoutPoint | None:
         """Return straight motions with the fastest configurations near those of the sequence; None if there are none.
 
         Single full poses leave nothing free.
         """
-        problem, mesh = self.problem, self.mesh
-        q = mesh.interpolated(self._knots(design, sequence))
-        point = LayoutPoint(np.array(design, float), q, segment_times(problem, mesh, q))
-        single = mesh.n_configs == len(problem.visits)
-        if self.bound_by_poses and single:
+        point = self._straight_point(design, sequence)
+        if self._nothing_free:
             return point
         compiled, part = self._program, self._nlp.program.variables["design"]
         compiled.lower[part] = compiled.upper[part] = design
         result = run_layout_nlp(self._nlp, compiled, point)
         if result.violation < 1e-6:
             return result.point
-        return point if single else None
+        return point if self._single else None
 
     def _knots(self, design: FloatArray, sequence: Sequence) -> list[FloatArray]:
         """Return configurations (knots, joints) along each visit's approach, followed from where it begins."""
@@ -157,13 +179,13 @@ class CycleObjective:
         finder: Finds the configurations of the problem's visits.
         settings: Of the solver.
         seed: Of the random bends in paths that do not come clear at once.
-        pool: Processes, or None for this one.
+        workers: Processes that time what needs a program, or None for this one.
     """
 
     finder: ConfigurationFinder
     settings: IterativeSettings
     seed: int
-    pool: ProcessPoolExecutor | None = None
+    workers: WorkerProcesses | None = None
     cycles: CycleTimes = field(init=False)
     stations: ProxyObjective = field(init=False)
 
@@ -190,16 +212,22 @@ class CycleObjective:
         values[alive[hopeless]] = bound[hopeless]
         rows = np.flatnonzero(served & ~hopeless)
         work = [(designs[alive[row]], self._sequence(found, int(row)), self.seed) for row in rows]
-        values[alive[rows]] = list(self._times(work))
+        values[alive[rows]] = self._times(work)
         return values
 
     def _sequence(self, found: VisitConfigurations, row: int) -> Sequence:
         return sequence_of(self.finder.problem, found.first[row], found.last[row], Proxy.JOINT_TIME)
 
-    def _times(self, work: list[tuple[FloatArray, Sequence, int]]) -> Iterator[float]:
-        if self.pool is None:
-            return (self.cycles.of(*each) for each in work)
-        return self.pool.map(_time_in_worker, work, chunksize=8)
+    def _times(self, work: list[tuple[FloatArray, Sequence, int]]) -> list[float]:
+        if self.workers is None or self.workers.n_processes <= 1:
+            return [self.cycles(*each) for each in work]
+        known = [self.cycles.without_program(design, sequence) for design, sequence, _ in work]
+        others = [each for each, time in zip(work, known) if time is None]
+        if len(others) < _LEAST_SHARED:
+            found = iter([self.cycles(*each) for each in others])
+        else:
+            found = iter(self.workers.map(others))
+        return [next(found) if time is None else time for time in known]
 
 
 def all_full_poses(problem: LayoutProblem) -> bool:
@@ -207,34 +235,6 @@ def all_full_poses(problem: LayoutProblem) -> bool:
     approaches = [problem.approach_of(visit) for visit in range(len(problem.visits))]
     six = problem.arm.n_joints == 6 and bool(problem.arm.revolute.all())
     return six and all(each is None or each.target is TargetKind.POSE for each in approaches)
-
-
-_worker: CycleTimes | None = None
-
-
-def _start_worker(problem: LayoutProblem, settings: StagedSettings) -> None:
-    global _worker
-    _worker = CycleTimes(problem, settings)
-
-
-def _time_in_worker(work: tuple[FloatArray, Sequence, int]) -> float:
-    if _worker is None:
-        raise RuntimeError("a worker was not started")
-    return _worker.of(*work)
-
-
-@contextmanager
-def _processes(problem: LayoutProblem, settings: IterativeSettings) -> Iterator[ProcessPoolExecutor | None]:
-    if settings.n_processes <= 1:
-        yield None
-        return
-    with ProcessPoolExecutor(
-        settings.n_processes,
-        mp_context=get_context("spawn"),
-        initializer=_start_worker,
-        initargs=(problem, settings.inner),
-    ) as pool:
-        yield pool
 
 
 def solve_iteratively(
@@ -250,8 +250,8 @@ def solve_iteratively(
     problem = symbols.problem
     finder = ConfigurationFinder(problem, rng)
     seed = int(rng.integers(2**32))
-    with _processes(problem, settings) as pool:
-        objective = CycleObjective(finder, settings, seed, pool)
+    with WorkerProcesses(CycleTimes, (problem, settings.inner), settings.n_processes) as workers:
+        objective = CycleObjective(finder, settings, seed, workers)
         result = minimise(objective, problem.lower, problem.upper, rng, settings.swarm, first=start)
     timed = time_layout(problem, result.position, rng, settings.trajectory)
     note = f"the swarm's best cycle: {result.value:.6g} s"

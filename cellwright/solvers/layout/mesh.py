@@ -11,13 +11,13 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from cellwright.arrays import FloatArray, IntArray
-from cellwright.solvers.layout.approach import MOST_KNOTS, Knots, approach_knots
+from cellwright.solvers.layout.approach import Knots, approach_knots
 from cellwright.solvers.layout.problem import LayoutProblem
 
 HULL, WALL, SELF = 0, 1, 2
 """What a robot sphere is checked against."""
-STATIONS, BASE, WALLS = 0, 1, 2
-"""Which pairs of `LayoutGeometry` a layout check belongs to."""
+STATIONS, BASE, WALLS, BASE_WALLS = 0, 1, 2, 3
+"""Which of `LayoutGeometry.pair_families` a layout check belongs to."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,16 +57,14 @@ class Mesh:
         return q
 
 
-def build_mesh(
-    problem: LayoutProblem, n_segments: int, *, free_times: bool = False, most_knots: int = MOST_KNOTS
-) -> Mesh:
+def build_mesh(problem: LayoutProblem, n_segments: int, *, free_times: bool = False) -> Mesh:
     """Return the mesh with ``n_segments`` a transition, each of the same duration or, if free, of its own."""
     knots: list[Knots | None] = []
     visit_rows: list[IntArray] = []
     n_configs = 0
     for visit in range(len(problem.visits)):
         approach = problem.approach_of(visit)
-        knots.append(None if approach is None else approach_knots(approach, most_knots))
+        knots.append(None if approach is None else approach_knots(approach))
         count = 1 if approach is None else len(knots[-1].place)  # type: ignore[union-attr]
         visit_rows.append(np.arange(n_configs, n_configs + count))
         n_configs += count
@@ -107,7 +105,7 @@ class Checks:
         motion: Row before, row after, transition (-1: none), what against (`HULL`, `WALL`, `SELF`), robot sphere,
             the other (hull sphere, wall, robot sphere), (n, 6).
         share: Where between the two rows, (n,).
-        layout: Family (`STATIONS`, `BASE`, `WALLS`) and the row of that family's pairs, (m, 2).
+        layout: Family (`STATIONS`, `BASE`, `WALLS`, `BASE_WALLS`) and the row of that family's pairs, (m, 2).
     """
 
     motion: IntArray = field(default_factory=lambda: np.zeros((0, 6), np.int64))
@@ -127,34 +125,3 @@ class Checks:
         _, first = np.unique(keys, axis=0, return_index=True)
         layout = np.unique(np.concatenate([self.layout, other.layout]), axis=0)
         return Checks(motion[first], share[first], layout)
-
-
-def all_checks_at_rows(problem: LayoutProblem, mesh: Mesh) -> Checks:
-    """Return every motion check at every configuration of every transition, and every layout check.
-
-    As equation (4) of the paper has it: all constraints at all points in time, at once.
-    """
-    from cellwright.solvers.layout.geometry import LayoutGeometry
-
-    geometry = LayoutGeometry(problem)
-    others = [(HULL, m, k) for m in geometry.moving_spheres.tolist() for k in range(len(geometry.hull_radii))]
-    others += [
-        (WALL, m, w)
-        for m in geometry.moving_spheres.tolist()
-        for w, wall in enumerate(problem.walls)
-        if wall.holds_robot
-    ]
-    others += [(SELF, m, k) for m, k in problem.robot_spheres.self_pairs.tolist()]
-    pairs = np.array(others, np.int64).reshape(-1, 3)
-    rows = []
-    for number, path in enumerate(mesh.transition_rows):
-        # the last configuration of one transition is the first of the next where the approach is a single pose
-        for row in path[: -1 if len(mesh.visit_rows[problem.transitions[number][1]]) == 1 else None].tolist():
-            head = np.tile([row, row, number], (len(pairs), 1))
-            rows.append(np.concatenate([head, pairs], axis=1))
-    motion = np.concatenate(rows) if rows else np.zeros((0, 6), np.int64)
-    layout = [
-        np.column_stack([np.full(len(each), family), np.arange(len(each))])
-        for family, each in enumerate((geometry.layout_pairs, geometry.base_pairs, geometry.wall_pairs))
-    ]
-    return Checks(motion, np.zeros(len(motion)), np.concatenate(layout).astype(np.int64))

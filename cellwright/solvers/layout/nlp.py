@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from cellwright.arrays import FloatArray, IntArray
+from cellwright.solvers.layout.cost_terms import add_extra_cost, knot_seconds
 from cellwright.solvers.layout.geometry import LayoutGeometry
 from cellwright.solvers.layout.mesh import Checks, Mesh
 from cellwright.solvers.layout.problem import LayoutProblem, TargetKind
@@ -59,7 +60,6 @@ class NLPResult:
     status: str
     iterations: int
     violation: float
-    success: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +68,8 @@ class LayoutNLP:
 
     Attributes:
         mesh, checks: What it was built for.
-        program: Constraints and cost; its variables are named design, q, velocity, times, slack.
+        program: Constraints and cost; its variables are named design, q, velocity, times, slack, and total (the
+            cycle's time) where the extra cost is a mean over it.
         geometry: Of its problem.
         check_rows: Row of g of each check.
         spheres: Row and robot sphere of each centre that is a variable, (n, 2).
@@ -90,6 +91,9 @@ class LayoutNLP:
         x[parts["design"]] = point.design
         x[parts["q"]] = point.q.ravel()
         x[parts["times"]] = point.times
+        if "total" in parts:
+            approaches = sum(seconds.sum() for _, seconds in knot_seconds(self.geometry.problem, self.mesh))
+            x[parts["total"]] = point.times.sum() + approaches
         if self.order == 2:
             x[parts["velocity"]] = point.velocity.ravel()
         if len(self.spheres):
@@ -160,15 +164,8 @@ def build_layout_nlp(
         program.relax(rows, slack)
         program.add_linear_cost(slack, slack_cost)
     if problem.cost.counts and mesh.visit_rows:
-        chosen = cost_rows(problem, mesh)
-        function = symbols.extra_cost()
-        program.add_cost(function, at.q[chosen], np.zeros((len(chosen), 0)), 1.0 / len(chosen))
+        add_extra_cost(symbols, mesh, program, at, speeds_vary=order == 2 and mesh.n_segments > 1)
     return LayoutNLP(symbols.geometry, mesh, checks, program, rows, spheres, order)
-
-
-def cost_rows(problem: LayoutProblem, mesh: Mesh) -> IntArray:
-    """Return the rows at which the extra cost is evaluated: its mean over them counts."""
-    return np.arange(mesh.n_configs) if problem.cost.along_path else np.concatenate(mesh.visit_rows)
 
 
 def _add_variables(
@@ -309,6 +306,4 @@ def run_layout_nlp(nlp: LayoutNLP, compiled: CompiledProgram, start: LayoutPoint
         gaps = np.asarray(compiled.constraint(x0))[nlp.check_rows, 0]
         x0[part] = np.maximum(compiled.low[nlp.check_rows] - gaps, 0.0)
     solved = compiled.solve(x0)
-    return NLPResult(
-        nlp.unpack(solved.x), solved.objective, solved.status, solved.iterations, solved.violation, solved.success
-    )
+    return NLPResult(nlp.unpack(solved.x), solved.objective, solved.status, solved.iterations, solved.violation)

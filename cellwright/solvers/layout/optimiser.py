@@ -6,6 +6,7 @@ methods differ in how they look for it, never in what they are asked or how they
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -90,18 +91,59 @@ def _solved(
 
 def _overlap_note(symbols: LayoutSymbols, start: FloatArray, overlaps: list[str]) -> str:
     """Return what overlaps at a start (n_design,), and the smallest change that would clear it."""
-    problem = symbols.problem
-    clear = nearest_clear_design(symbols, checked_start(problem, start))
     told = f"the start is not free of overlap, so it was pushed apart: {listed(overlaps)}"
+    change = smallest_change(symbols, start)
+    return told if change is None else f"{told}; {change}"
+
+
+def smallest_change(symbols: LayoutSymbols, start: FloatArray) -> str | None:
+    """Return in words the smallest change found that clears a start (n_design,) of overlaps; None if none was found."""
+    problem, design = symbols.problem, checked_start(symbols.problem, start)
+    clear = nearest_clear_design(symbols, design)
     if clear is None:
-        return told
-    change = clear - checked_start(problem, start)
-    units = ["rad" if turns else "m" for harness in problem.harnesses for turns in (j.revolute for j in harness.joints)]
-    rows = np.argsort(-np.abs(change), kind="stable")
-    parts = [
-        f"{problem.design_names[row]} by {change[row]:+.4g} {units[row]}" for row in rows if abs(change[row]) > 1e-4
+        return None
+    turns = np.concatenate([harness.revolute for harness in problem.harnesses])
+    change = clear - design
+    changes = [
+        f"{problem.design_names[row]} by {change[row]:+.4g} {'rad' if turns[row] else 'm'}"
+        for row in np.argsort(-np.abs(change), kind="stable").tolist()
+        if abs(change[row]) > 1e-4
     ]
-    return f"{told}; the smallest change found that clears it: {listed(parts)}"
+    return f"the smallest change found that clears it: {listed(changes)}"
+
+
+def solutions_from_starts(
+    symbols: LayoutSymbols,
+    method: str = "staged",
+    *,
+    n_starts: int = 5,
+    seed: int = 0,
+    settings: Any = None,
+    start: FloatArray | None = None,
+) -> Iterator[LayoutSolution]:
+    """Yield the solution of one start after the other, gated or not; the first start may be given.
+
+    A start ``number`` depends on ``[seed, number]`` alone, not on how many there are.
+
+    Raises:
+        InvalidInputError: As `solve_layout`, or if no start is asked for.
+    """
+    if n_starts < 1:
+        raise InvalidInputError(f"{n_starts} starts are asked for: give at least one")
+    for number in range(n_starts):
+        yield _solved(symbols, method, None if number else start, start_generator(seed, number), settings)
+
+
+def start_generator(seed: int, number: int) -> np.random.Generator:
+    """Return the generator of a start: its first draw is the design that it begins at, if none is given."""
+    return np.random.default_rng([seed, number])
+
+
+def best_of(found: Sequence[LayoutSolution]) -> int:
+    """Return the row of the best solution: cheapest of those that passed, else of all."""
+    return min(
+        range(len(found)), key=lambda row: (not found[row].converged, found[row].cycle_time_s + found[row].extra_cost)
+    )
 
 
 def solve_layout_from_starts(
@@ -120,20 +162,13 @@ def solve_layout_from_starts(
         InfeasibleError: If no start converges and the stations cannot be served as they stand: what blocks, and the
             smallest relaxation that was found.
     """
-    if n_starts < 1:
-        raise InvalidInputError(f"{n_starts} starts are asked for: give at least one")
     symbols = LayoutSymbols(problem)
-    found: list[LayoutSolution] = []
-    for number in range(n_starts):
-        rng = np.random.default_rng([seed, number])
-        first = start if number == 0 else None
-        found.append(_solved(symbols, method, first, rng, settings))
+    found = list(solutions_from_starts(symbols, method, n_starts=n_starts, seed=seed, settings=settings, start=start))
+    best = found[best_of(found)]
     if start is not None and (overlaps := start_overlaps(problem, start)):
-        note = _overlap_note(symbols, start, overlaps)
-        found = [replace(each, notes=(*each.notes, note)) for each in found]
-    best = min(found, key=lambda each: (not each.converged, each.cycle_time_s + each.extra_cost))
+        best = replace(best, notes=(*best.notes, _overlap_note(symbols, start, overlaps)))
     if not best.converged:
-        require_feasible(symbols, best.design, np.random.default_rng([seed, n_starts]))
+        require_feasible(symbols, best.design, start_generator(seed, n_starts))
     return best
 
 

@@ -11,8 +11,6 @@ import numpy as np
 
 from cellwright.arrays import FloatArray
 from cellwright.solvers.layout.geometry import LayoutGeometry
-from cellwright.solvers.layout.mesh import Mesh
-from cellwright.solvers.layout.problem import LayoutProblem
 
 _BOWS = (0.2, 0.5, 0.9, 1.4)
 """Sizes of a bow in rad; the largest bow of a prismatic joint is its whole range."""
@@ -82,13 +80,3 @@ def _costs(geometry: LayoutGeometry, design: FloatArray, paths: FloatArray, n_sa
     gaps = geometry.motion_gap(design, q.reshape(-1, q.shape[2])).reshape(n, -1)
     inside = np.maximum(-gaps, 0.0)
     return np.asarray(_time(geometry, paths) + _PENETRATION_COST * (inside.max(axis=1) + inside.mean(axis=1)))
-
-
-def bent(problem: LayoutProblem, mesh: Mesh, q: FloatArray, rng: np.random.Generator) -> FloatArray:
-    """Return configurations whose transitions bow out to one random side, within the joint limits."""
-    bowed = q.copy()
-    arm = problem.arm
-    for rows in mesh.transition_rows:
-        bow = np.sin(np.pi * np.linspace(0.0, 1.0, len(rows)))[1:-1, None]
-        bowed[rows[1:-1]] += bow * rng.normal(0.0, 0.35, arm.n_joints) * np.where(arm.revolute, 1.0, 0.3)
-    return np.asarray(np.clip(bowed, arm.lower, arm.upper))

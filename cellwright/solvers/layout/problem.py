@@ -167,7 +167,8 @@ class LayoutCost:
         repeatability: Seconds a metre of the mean position error at the tool costs.
         joint_deviation: Standard deviation of each joint's position in rad or m, (joints,), for repeatability.
         worst_case: Add the joints' errors up (worst case of three deviations each) instead of their variances.
-        along_path: Evaluate along the transitions too, not only at the approach poses.
+        along_path: L is the mean over the time of the cycle, transitions and timed approaches, instead of the mean over
+            the approaches' knots.
     """
 
     manipulability: float = 0.0
@@ -196,7 +197,8 @@ class LayoutProblem:
         robot_spheres: What of the robot must not collide; empty as in the paper's Fig. 5 means nothing.
         walls: Half spaces that hold stations and robot.
         home_q: The configuration of a `HOME` visit, (joints,).
-        clearance_m: Distance kept between spheres.
+        clearance_m: Distance kept between bodies, and between the moving robot and walls; what stands may touch a wall,
+            and the robot's links each other.
         cost: Extra cost L.
     """
 

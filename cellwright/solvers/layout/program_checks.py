@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cellwright.arrays import BoolArray, FloatArray, IntArray
-from cellwright.solvers.layout.mesh import BASE, HULL, STATIONS, WALL, WALLS, Checks, Mesh
+from cellwright.solvers.layout.mesh import BASE, BASE_WALLS, HULL, STATIONS, WALL, WALLS, Checks, Mesh
+from cellwright.solvers.layout.problem import LayoutProblem
 from cellwright.solvers.layout.symbols import LayoutSymbols, Place
 from cellwright.solvers.structured_program import StructuredProgram
 
@@ -43,7 +44,7 @@ def add_checks(
             for group in np.unique(groups, axis=0):
                 own = chosen[(groups == group).all(axis=1)]
                 rows[own] = _add_motion(symbols, mesh, checks, own, place, program, at, margins_m[0])
-    for family in (STATIONS, BASE, WALLS):
+    for family in (STATIONS, BASE, WALLS, BASE_WALLS):
         chosen = np.flatnonzero(checks.layout[:, 0] == family)
         if len(chosen):
             _add_layout(symbols, family, checks.layout[:, 1], chosen, program, at, margins_m[1], rows[len(motion) :])
@@ -129,9 +130,7 @@ def _add_motion(
         index = np.hstack([variables, base, np.tile(at.stations[station], (n, 1))])
         function = symbols.hull_gap(link, station, place)
     elif kind == WALL:
-        normals = np.array([problem.walls[wall].normal for wall in other.tolist()])
-        offsets = np.array([problem.walls[wall].offset_m for wall in other.tolist()])
-        constants = np.column_stack([where, local, normals, offsets + radii])
+        constants = np.column_stack([where, local, _planes(problem, other, radii + problem.clearance_m)])
         index = np.hstack([variables, base])
         function = symbols.wall_gap(link, place)
     else:
@@ -171,29 +170,37 @@ def _add_layout(
 ) -> None:
     """Add checks of one family, station by station; writes their rows."""
     problem, geometry = symbols.problem, symbols.geometry
-    pairs = (geometry.layout_pairs, geometry.base_pairs, geometry.wall_pairs)[family][pair[chosen]]
-    body = geometry.hull_station[pairs[:, 1]]
-    first = geometry.hull_station[pairs[:, 0]] if family == STATIONS else np.zeros(len(pairs), np.int64)
+    spheres = problem.robot_spheres
+    pairs = geometry.pair_families[family][pair[chosen]]
+    none = np.zeros(len(pairs), np.int64)
+    first = geometry.hull_station[pairs[:, 0]] if family == STATIONS else none
+    body = none if family == BASE_WALLS else geometry.hull_station[pairs[:, 1]]
     for one, other in np.unique(np.column_stack([first, body]), axis=0).tolist():
         mine = np.flatnonzero((first == one) & (body == other))
         left, right = pairs[mine, 0], pairs[mine, 1]
-        centres = symbols.in_station(other, geometry.hull_centres[right])
-        radii = geometry.hull_radii[right]
+        if family == BASE_WALLS:
+            constants = np.column_stack([spheres.centres[right], _planes(problem, left, spheres.radii[right])])
+            index, function = at.base, symbols.base_wall_gap()
+        else:
+            centres, radii = symbols.in_station(other, geometry.hull_centres[right]), geometry.hull_radii[right]
         if family == STATIONS:
             owner = symbols.in_station(one, geometry.hull_centres[left])
             constants = np.column_stack([owner, centres, radii + geometry.hull_radii[left] + problem.clearance_m])
             index, function = np.concatenate([at.stations[one], at.stations[other]]), symbols.stations_gap(one, other)
         elif family == BASE:
-            spheres = problem.robot_spheres
-            constants = np.column_stack(
-                [spheres.centres[left], centres, radii + spheres.radii[left] + problem.clearance_m]
-            )
+            most = radii + spheres.radii[left] + problem.clearance_m
+            constants = np.column_stack([spheres.centres[left], centres, most])
             index, function = np.concatenate([at.base, at.stations[other]]), symbols.base_gap(other)
-        else:
-            normals = np.array([problem.walls[wall].normal for wall in left.tolist()])
-            offsets = np.array([problem.walls[wall].offset_m for wall in left.tolist()])
-            constants = np.column_stack([centres, normals, offsets + radii])
+        elif family == WALLS:
+            constants = np.column_stack([centres, _planes(problem, left, radii)])
             index, function = at.stations[other], symbols.station_wall_gap(other)
         name = f"layout {family} {one} {other}"
         added = program.add_constraint(name, function, np.tile(index, (len(mine), 1)), constants, margin_m, np.inf)
         rows[chosen[mine]] = added[:, 0]
+
+
+def _planes(problem: LayoutProblem, walls: IntArray, distance_m: FloatArray) -> FloatArray:
+    """Return normal and offset (n, 4) of the planes at a distance from walls that centres must not cross."""
+    normals = np.array([problem.walls[wall].normal for wall in walls.tolist()])
+    offsets = np.array([problem.walls[wall].offset_m for wall in walls.tolist()])
+    return np.column_stack([normals, offsets + distance_m])

@@ -21,11 +21,12 @@ import numpy as np
 from cellwright.arrays import FloatArray
 from cellwright.cell.serial_arm import SerialArm
 from cellwright.solvers.layout.configurations import ConfigurationFinder, VisitConfigurations
+from cellwright.solvers.layout.fixed_layout import time_layout
 from cellwright.solvers.layout.geometry import LayoutGeometry
 from cellwright.solvers.layout.problem import LayoutProblem
 from cellwright.solvers.layout.sequences import StepMetric, cheapest_sums, cheapest_walk
 from cellwright.solvers.layout.solution import LayoutSolution
-from cellwright.solvers.layout.staged import StagedSettings, solve_staged
+from cellwright.solvers.layout.staged import StagedSettings
 from cellwright.solvers.layout.symbols import LayoutSymbols
 from cellwright.solvers.particle_swarm import SwarmResult, SwarmSettings, minimise
 
@@ -219,12 +220,3 @@ def solve_by_proxy(
     claimed = best_sequence(finder, result.position).joint_time_s
     note = f"{settings.proxy.value} {result.value:.6g}, joint time of its best branches {claimed:.6g} s"
     return replace(timed, method=f"proxy: {settings.proxy.value}", notes=(note, *timed.notes))
-
-
-def time_layout(
-    problem: LayoutProblem, design: FloatArray, rng: np.random.Generator, settings: StagedSettings
-) -> LayoutSolution:
-    """Return the fastest cycle that trajectory optimisation finds in one layout (n_design,) held fixed."""
-    fixed = problem.with_design(design)
-    solution = solve_staged(LayoutSymbols(fixed), np.zeros(0), rng, settings)
-    return replace(solution, design=np.array(design, float))

@@ -16,8 +16,8 @@ from cellwright.cell.transforms import inverse
 from cellwright.errors import InfeasibleError, listed
 from cellwright.solvers.layout.approach import target_error
 from cellwright.solvers.layout.checks import all_layout_checks, missing_checks, samples_of
-from cellwright.solvers.layout.gate import touching_bodies
 from cellwright.solvers.layout.geometry import LayoutGeometry
+from cellwright.solvers.layout.measures import touching_bodies
 from cellwright.solvers.layout.mesh import Checks, Mesh, build_mesh
 from cellwright.solvers.layout.nlp import Indices, LayoutPoint, build_layout_nlp, run_layout_nlp
 from cellwright.solvers.layout.program_checks import add_checks

@@ -14,18 +14,17 @@ import numpy as np
 
 from cellwright.arrays import FloatArray
 from cellwright.solvers.layout.checks import MOST_A_PAIR, missing_checks, samples_of
-from cellwright.solvers.layout.costs import extra_costs
 from cellwright.solvers.layout.mesh import Checks, Mesh
+from cellwright.solvers.layout.motions import measured_cost
 from cellwright.solvers.layout.nlp import (
     MARGIN_M,
+    SLACK_COST,
     LayoutNLP,
     LayoutPoint,
     NLPResult,
     build_layout_nlp,
-    cost_rows,
     run_layout_nlp,
 )
-from cellwright.solvers.layout.problem import LayoutProblem
 from cellwright.solvers.layout.solution import Phase
 from cellwright.solvers.layout.symbols import LayoutSymbols
 from cellwright.solvers.structured_program import CompiledProgram
@@ -46,7 +45,8 @@ _LEAST_GAIN = 1e-3
 
 
 Programs = dict[Checks, tuple[LayoutNLP, CompiledProgram]]
-"""Programs of one mesh by the checks that they know."""
+"""Programs of one mesh by the checks that they know: by the object, since `Checks` with equal rows are not equal. Who
+wants a program again asks with the very `Checks` that it was built for."""
 
 
 class RoundLimits(Protocol):
@@ -83,7 +83,10 @@ class Stage:
 
     @property
     def cost(self) -> float:
-        """What the program minimised, less the price of slack."""
+        """The time of all transitions plus the extra cost, which decides; and the price of slack, none if clear.
+
+        With an extra cost along the path both are measured on the motion, so that stages on different meshes compare.
+        """
         return self.result.objective
 
 
@@ -122,7 +125,7 @@ def solve_lazily(
             limit = most_iterations or limits.most_iterations
             kept[checks] = nlp, nlp.program.compiled(most_iterations=limit, warm=warm or number > 0)
         nlp, compiled = kept[checks]
-        result = run_layout_nlp(nlp, compiled, point)
+        result = _solved(symbols, nlp, compiled, point)
         sizes = (nlp.program.n_variables, nlp.program.n_constraints, checks.n_checks)
         phases.append(Phase(name, result.status, result.iterations, *sizes))
         samples = samples_of(symbols.geometry, mesh, result.point, transitions=transitions)
@@ -144,10 +147,19 @@ def clear_stage(symbols: LayoutSymbols, mesh: Mesh, point: LayoutPoint, checks: 
     """Return a stage for a point that no program made, measured at its samples."""
     samples = samples_of(symbols.geometry, mesh, point)
     _, deepest = missing_checks(symbols.geometry, point, samples, motion_only=not mesh.visit_rows)
-    cost = float(point.times.sum())
-    if mesh.visit_rows:
-        cost += extra_cost(symbols.problem, mesh, point.q)
-    return Stage(mesh, NLPResult(point, cost, "given", 0, 0.0, True), checks, deepest, ())
+    cost = measured_cost(symbols.problem, mesh, point) if mesh.visit_rows else float(point.times.sum())
+    return Stage(mesh, NLPResult(point, cost, "given", 0, 0.0), checks, deepest, ())
+
+
+def _solved(symbols: LayoutSymbols, nlp: LayoutNLP, compiled: CompiledProgram, point: LayoutPoint) -> NLPResult:
+    """Return what Ipopt finds from a point; where the extra cost counts along the path it is measured there."""
+    result = run_layout_nlp(nlp, compiled, point)
+    mesh, cost = nlp.mesh, symbols.problem.cost
+    closed_form = nlp.order == 2 and mesh.n_segments == 1
+    if not (cost.counts and cost.along_path and mesh.visit_rows) or closed_form:
+        return result
+    price = SLACK_COST * float(result.point.slack.sum())
+    return replace(result, objective=measured_cost(symbols.problem, mesh, result.point) + price)
 
 
 def refine(
@@ -192,7 +204,7 @@ def refine(
             rows = nlp.program.variables[part]
             compiled.lower[rows] = np.maximum(compiled.lower[rows], centre - trust)
             compiled.upper[rows] = np.minimum(compiled.upper[rows], centre + trust)
-        result = run_layout_nlp(nlp, compiled, point)
+        result = _solved(symbols, nlp, compiled, point)
         sizes = (nlp.program.n_variables, nlp.program.n_constraints, current.n_checks)
         phases.append(Phase(name, result.status, result.iterations, *sizes))
         samples = samples_of(geometry, mesh, result.point)
@@ -216,8 +228,3 @@ def refine(
         if trust < _LEAST_TRUST:
             break
     return replace(best, phases=tuple(phases))
-
-
-def extra_cost(problem: LayoutProblem, mesh: Mesh, q: FloatArray) -> float:
-    """Return the extra cost L in s at configurations (n_configs, joints)."""
-    return float(extra_costs(problem.arm, q[cost_rows(problem, mesh)], problem.cost, problem.T_flange_tool).mean())

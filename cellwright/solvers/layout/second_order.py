@@ -16,9 +16,10 @@ from cellwright.arrays import FloatArray
 from cellwright.solvers.layout.checks import missing_checks, samples_of
 from cellwright.solvers.layout.gate import GateTolerances, check_layout
 from cellwright.solvers.layout.mesh import Checks, Mesh, build_mesh
+from cellwright.solvers.layout.motions import extra_cost
 from cellwright.solvers.layout.nlp import LayoutPoint
 from cellwright.solvers.layout.problem import LayoutProblem
-from cellwright.solvers.layout.rounds import Stage, extra_cost, refine, solve_lazily
+from cellwright.solvers.layout.rounds import Stage, refine, solve_lazily
 from cellwright.solvers.layout.solution import LayoutSolution, Phase, Transition
 from cellwright.solvers.layout.staged import StagedSettings, solution_of, staged_outcome
 from cellwright.solvers.layout.symbols import LayoutSymbols
@@ -100,11 +101,13 @@ def continue_second_order(
 ) -> LayoutSolution:
     """Return the solution with acceleration limits, warm from a first-order outcome and after its phases."""
     point = first.result.point
+    cost = symbols.problem.cost
+    exact: LayoutSolution | None = None
     if not any(knots is not None and knots.timed for knots in first.mesh.knots):
         stations = _stations(symbols, first, settings, phases)
         if settings.trapezoids:
             exact = _exact(symbols, stations, tuple(phases), settings)
-            if exact.converged:
+            if exact.converged and not (cost.along_path and cost.counts):
                 return exact
         if first.mesh.n_segments == 1:
             point = stations.result.point
@@ -118,7 +121,12 @@ def continue_second_order(
         checks = layout.joined(missing)
         stage = solve_lazily(symbols, mesh, warm, checks, _lazy(settings), name="second order, free", order=2)
         phases += stage.phases
-    return solution_of(symbols, "second_order", mesh, stage.result, tuple(phases), settings.tolerances)
+    bent = solution_of(symbols, "second_order", mesh, stage.result, tuple(phases), settings.tolerances)
+    if exact is None or not exact.converged:
+        return bent
+    # where the extra cost counts along the motion, trapezoids are the fastest but not the cheapest
+    better = bent.converged and bent.cycle_time_s + bent.extra_cost < exact.cycle_time_s + exact.extra_cost
+    return bent if better else replace(exact, phases=tuple(phases))
 
 
 def _lazy(settings: SecondOrderSettings) -> StagedSettings:
@@ -155,7 +163,7 @@ def _exact(
     )
     visit_q = [point.q[rows] for rows in mesh.visit_rows]
     report, at_poses = check_layout(symbols.geometry, mesh, point.design, visit_q, transitions, settings.tolerances)
-    cost = extra_cost(problem, mesh, point.q)
+    cost = extra_cost(problem, mesh, point.q, transitions)
     return LayoutSolution("second_order", point.design, at_poses, transitions, 0.0, cost, report, phases)
 
 

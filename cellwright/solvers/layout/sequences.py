@@ -152,7 +152,7 @@ def cheapest_walk(
     """
     n_candidates = first.shape[1]
     missing = np.asarray(np.isnan(first[:, :, 0]).all(axis=1))
-    steps = []
+    steps: list[FloatArray] = []
     for start, end in transitions:
         cost = metric.steps(last[start, :, None], first[end, None])
         if missing[start] or missing[end]:
@@ -161,17 +161,29 @@ def cheapest_walk(
             usable[1] |= missing[end] & (np.arange(n_candidates) == 0)
             cost = np.where(usable[0][:, None] & usable[1], 0.0, np.inf)
         steps.append(cost)
-    # rows: the candidate that a closed walk began with; one for all of them in an open walk
-    reach = np.where(np.eye(n_candidates, dtype=bool), 0.0, np.inf) if cyclic else np.zeros((1, n_candidates))
-    came_from: list[IntArray] = []
-    for cost in steps[:-1] if cyclic else steps:
-        total = reach[:, :, None] + cost
-        came_from.append(np.argmin(total, axis=1))
-        reach = total.min(axis=1)
-    if cyclic:
-        reach = reach + steps[-1].T
-    row, end = divmod(int(np.argmin(reach)), n_candidates)
-    walk = [end]
-    for before in reversed(came_from):
-        walk.append(int(before[row, walk[-1]]))
-    return np.array(walk[::-1]), float(reach[row, end])
+    (walk, total), *_ = cheapest_walks(steps, 1, cyclic=cyclic)
+    return walk, total
+
+
+def cheapest_walks(steps: Sequence[FloatArray], most: int, *, cyclic: bool) -> list[tuple[IntArray, float]]:
+    """Return the candidate at each visit and the sum of up to ``most`` walks that begin differently, cheapest first.
+
+    Each is the cheapest that begins with its candidate. ``steps`` holds what each step costs, (candidates before,
+    candidates after); if ``cyclic`` the last leads back to the first visit. Ties go to the lower candidate.
+    """
+    inner = list(steps[:-1] if cyclic else steps)
+    # costs from each first candidate to each candidate of a visit, (first, candidates) a visit
+    reached = [np.where(np.eye(len(steps[0]), dtype=bool), 0.0, np.inf)]
+    for step in inner:
+        backwards = np.ascontiguousarray(step.T)
+        # one first candidate at a time stays within the processor's cache
+        reached.append(np.stack([(costs + backwards).min(axis=1) for costs in reached[-1]]))
+    ending = reached[-1] + steps[-1].T if cyclic else reached[-1]
+    found = []
+    for first in np.argsort(ending.min(axis=1), kind="stable")[:most].tolist():
+        last = int(np.argmin(ending[first]))
+        walk = [last]
+        for before, step in zip(reversed(reached[:-1]), reversed(inner)):
+            walk.append(int(np.argmin(before[first] + step[:, walk[-1]])))
+        found.append((np.array(walk[::-1]), float(ending[first, last])))
+    return found

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from cellwright.arrays import FloatArray
+from cellwright.errors import InvalidInputError
 
 ITSELF = "itself"
 """What a robot touches whose own spheres overlap: perhaps only since they are few, and larger than what they hold."""
@@ -18,7 +19,7 @@ class Transition:
 
     Attributes:
         start, end: Rows of the problem's visits.
-        times_s: From 0 to the transition's duration, (n,).
+        times_s: From 0 to the transition's duration, rising, (n,) with at least two.
         q: Joint positions in rad or m, (n, joints).
         velocity: Joint velocities, (n, joints); None: constant between the points (first order). With velocities the
             motion between two points has a constant acceleration.
@@ -30,6 +31,35 @@ class Transition:
     q: FloatArray
     velocity: FloatArray | None = None
 
+    def __post_init__(self) -> None:
+        """Check.
+
+        Raises:
+            InvalidInputError: If the shapes do not fit, a value is not finite, or the times do not rise from 0.
+        """
+        times = np.asarray(self.times_s, float)
+        name = f"the transition from visit {self.start} to visit {self.end}"
+        if times.ndim != 1 or len(times) < 2 or self.q.ndim != 2 or len(self.q) != len(times):
+            raise InvalidInputError(
+                f"{name} has times of shape {times.shape} and joint positions of shape {self.q.shape}: "
+                "give one row a time, and at least two"
+            )
+        if self.velocity is not None and self.velocity.shape != self.q.shape:
+            raise InvalidInputError(
+                f"{name} has velocities of shape {self.velocity.shape}, but positions of {self.q.shape}: "
+                "give one velocity a position"
+            )
+        for what, values in (("times", times), ("positions", self.q), ("velocities", self.velocity)):
+            if values is not None and not np.isfinite(values).all():
+                raise InvalidInputError(f"{name} has {what} that are not finite: give numbers")
+        if times[0] != 0.0:
+            raise InvalidInputError(f"{name} begins at {times[0]:.6g} s: its times count from 0")
+        if not (np.diff(times) > 0.0).all():
+            row = int(np.argmin(np.diff(times)))
+            raise InvalidInputError(
+                f"the times of {name} do not rise: {times[row + 1]:.9g} s comes after {times[row]:.9g} s"
+            )
+
     @property
     def duration_s(self) -> float:
         """The time of the transition."""
@@ -40,7 +70,7 @@ class Transition:
         times = np.asarray(times_s, float)
         piece = np.clip(np.searchsorted(self.times_s, times, side="right") - 1, 0, len(self.times_s) - 2)
         begin, step = self.times_s[piece], np.diff(self.times_s)[piece]
-        share = np.divide(times - begin, step, out=np.zeros_like(times), where=step > 0.0)[:, None]
+        share = ((times - begin) / step)[:, None]
         if self.velocity is None:
             return np.asarray((1.0 - share) * self.q[piece] + share * self.q[piece + 1])
         before, after = self.velocity[piece], self.velocity[piece + 1]
@@ -76,12 +106,18 @@ class GateReport:
         layout_violation_m: Deepest penetration among stations, robot base and walls.
         endpoint_m, endpoint_rad: Largest residual of a tool pose at the ends of a transition.
         approach_m, approach_rad: Largest residual of a tool pose along an approach.
+        approach_jump: Largest step of a joint, rad or m, between neighbours along an approach. They lie 5 mm apart, and
+            far less where the arm turns fast: what is left is a jump to another branch.
         position_excess: Largest excess over a joint position limit, rad or m.
         design_excess: Largest excess over a design joint's limit, rad or m.
         speed_ratio: Largest joint speed over its limit.
         acceleration_ratio: Largest joint acceleration over its limit; 0 for first-order motions.
+        rest_ratio: Largest joint speed over its limit where a transition has to begin or end at rest; 0 for
+            first-order motions.
+        handover_s: Longest time that a joint needs, at its acceleration limit, to take up the difference between its
+            speeds on a transition and on the timed approach beside it; 0 for first-order motions.
         n_samples: Configurations that were checked.
-        findings: What is missed, worst first.
+        findings: What is missed: first what touches, then poses, joints, ranges and rates.
     """
 
     path_violation_m: float
@@ -91,10 +127,13 @@ class GateReport:
     endpoint_rad: float
     approach_m: float
     approach_rad: float
+    approach_jump: float
     position_excess: float
     design_excess: float
     speed_ratio: float
     acceleration_ratio: float
+    rest_ratio: float
+    handover_s: float
     n_samples: int
     findings: tuple[Finding, ...] = ()
 
@@ -105,7 +144,7 @@ class GateReport:
 
     @property
     def blocking(self) -> str:
-        """The worst requirement that is missed, in words; empty if none."""
+        """The first requirement that is missed, in words; empty if none."""
         return str(self.findings[0]) if self.findings else ""
 
 

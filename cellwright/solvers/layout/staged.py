@@ -5,16 +5,17 @@
    program of some forty variables. If the straight motions are clear, this is the optimum and nothing is left to do.
 2. Few segments of free duration with checks between them. A polyline is a whole first-order motion, checked at every
    sample, so this already is a valid cycle.
-3. N segments of equal duration, endpoints hard, where motions are bent; kept if it is shorter and passes. It ends after
-   the first program that cannot undercut the second stage, whatever checks it still lacks.
+3. N segments of equal duration, endpoints hard, where motions are bent, or where the extra cost counts along them and
+   may bend them; kept if it costs less and passes. It ends after the first program that cannot undercut the second
+   stage, whatever checks it still lacks.
 
 Collision checks are added lazily with elastic slack (`checks`). Each start runs through several branches of the
-inverse kinematics; a branch whose time without obstacles exceeds a finished cycle is dropped.
+inverse kinematics; once a cycle is finished only those branches are followed that without obstacles undercut it by the
+share `StagedSettings.worth`, since paths round obstacles take some of that back.
 """
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -23,20 +24,19 @@ from cellwright.arrays import FloatArray
 from cellwright.solvers.layout.checks import all_layout_checks, missing_checks, samples_of
 from cellwright.solvers.layout.gate import GateTolerances, check_layout
 from cellwright.solvers.layout.mesh import Checks, Mesh, build_mesh, path_mesh
+from cellwright.solvers.layout.motions import extra_cost, transitions_of
 from cellwright.solvers.layout.nlp import LayoutPoint, NLPResult
-from cellwright.solvers.layout.paths import bent, promising_paths
-from cellwright.solvers.layout.problem import LayoutProblem
+from cellwright.solvers.layout.paths import promising_paths
 from cellwright.solvers.layout.rounds import (
     CLEAR_M,
     NEAR_M,
     Programs,
     Stage,
     clear_stage,
-    extra_cost,
     refine,
     solve_lazily,
 )
-from cellwright.solvers.layout.solution import LayoutSolution, Phase, Transition
+from cellwright.solvers.layout.solution import LayoutSolution, Phase
 from cellwright.solvers.layout.start import segment_times, spread_points, start_points
 from cellwright.solvers.layout.symbols import LayoutSymbols
 
@@ -48,7 +48,7 @@ _PATH_ITERATIONS = 100
 _PATH_LEAST_GAIN = 0.05
 """Share of its time that a round must gain on one transition's path, which is refined with all others afterwards."""
 
-__all__ = ["Stage", "StagedSettings", "bent", "path_between", "solution_of", "solve_lazily", "solve_staged"]
+__all__ = ["Stage", "StagedSettings", "path_between", "solution_of", "solve_lazily", "solve_staged"]
 
 
 @dataclass(frozen=True)
@@ -107,8 +107,10 @@ def staged_outcome(
     phases: list[Phase] = []
     stations = _stations(symbols, start, rng, settings, phases)
     best: Stage | None = None
+    worth = settings.worth
     for stage in stations:
-        if best is not None and best.clear and (not stage.clear or stage.cost >= best.cost * (1.0 - settings.worth)):
+        # shares of the size of a cost, which is negative where manipulability outweighs the time
+        if best is not None and best.clear and not (stage.clear and stage.cost < best.cost - worth * abs(best.cost)):
             continue
         beat = best.cost if best is not None and best.clear else np.inf
         whole = _with_path(symbols, stage, rng, settings, phases, beat)
@@ -116,7 +118,9 @@ def staged_outcome(
             best = whole
     if best is None:
         raise ValueError("a start without a point")
-    if settings.polish and best.mesh.n_segments > 1 and best.clear:
+    # a motion that is cheaper along its way may be bent where the fastest one is straight
+    bends = best.mesh.n_segments > 1 or (symbols.problem.cost.along_path and symbols.problem.cost.counts)
+    if settings.polish and bends and best.clear:
         best = _polished(symbols, best, settings, phases)
     return best, phases
 
@@ -199,7 +203,7 @@ def _with_path(
         path = path_between(symbols, point.design, q[rows], rng, settings, phases)
         q[rows] = path.result.point.q
         cost += path.cost - float(point.times[number])
-        if not path.clear or cost > beat * (1.0 + settings.hope):
+        if not path.clear or (np.isfinite(beat) and cost > beat + settings.hope * abs(beat)):
             return blocked
     start = LayoutPoint(point.design, q, segment_times(symbols.problem, mesh, q))
     samples = samples_of(symbols.geometry, mesh, start)
@@ -283,33 +287,6 @@ def _polished(symbols: LayoutSymbols, coarse: Stage, settings: StagedSettings, p
     return fine if fine.clear and fine.cost < coarse.cost else coarse
 
 
-def transitions_of(
-    problem: LayoutProblem, mesh: Mesh, point: LayoutPoint, least_segments: int = 1
-) -> tuple[Transition, ...]:
-    """Return the motions of a point; first-order segments are divided until each has ``least_segments`` in all."""
-    found = []
-    for (start, end), rows, which, share in zip(
-        problem.transitions, mesh.transition_rows, mesh.segment_time, mesh.segment_share
-    ):
-        steps = point.times[which] * share
-        q = point.q[rows]
-        velocity = None
-        if point.velocity.size:
-            velocity = point.velocity[rows] * problem.arm.max_velocity
-        else:
-            # never faster than the joints are, whatever a program left below its tolerance
-            steps = np.maximum(steps, (np.abs(np.diff(q, axis=0)) / problem.arm.max_velocity).max(axis=1))
-        motion = Transition(start, end, np.concatenate([[0.0], np.cumsum(steps)]), q, velocity)
-        if velocity is None and len(steps) < least_segments and motion.duration_s > 0.0:
-            parts = -(-least_segments // len(steps))
-            corners = motion.times_s
-            fine = [np.linspace(a, b, parts, endpoint=False) for a, b in itertools.pairwise(corners)]
-            times = np.concatenate([*fine, corners[-1:]])
-            motion = Transition(start, end, times, motion.at(times))
-        found.append(motion)
-    return tuple(found)
-
-
 def solution_of(
     symbols: LayoutSymbols,
     method: str,
@@ -332,7 +309,7 @@ def solution_of(
         at_poses,
         transitions,
         sum(approach.duration_s for approach in timed if approach is not None),
-        extra_cost(problem, mesh, point.q),
+        extra_cost(problem, mesh, point.q, transitions),
         report,
         phases,
         float(point.slack.sum()),

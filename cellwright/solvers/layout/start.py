@@ -23,6 +23,7 @@ from cellwright.solvers.layout.geometry import LayoutGeometry
 from cellwright.solvers.layout.mesh import Mesh
 from cellwright.solvers.layout.nlp import LayoutPoint
 from cellwright.solvers.layout.problem import LayoutProblem, TargetKind
+from cellwright.solvers.layout.sequences import cheapest_walks
 
 _SEEDS = 40
 """Random seeds a pose: they find about six of eight branches of an elbow arm."""
@@ -192,22 +193,11 @@ def cheapest_cycles(
             overlap = _overlaps(problem, designs, start, end)
             step = step + _MISS_COST * overlap[layers[start].sample[:, None], layers[end].sample[None, :]]
         steps.append(step)
-    # costs from each first candidate to each candidate of a layer, (first, candidates) a layer
-    reached = [np.where(np.eye(len(layers[0].q), dtype=bool), 0.0, np.inf)]
-    for step in steps[: len(layers) - 1]:
-        backwards = np.ascontiguousarray(step.T)
-        # one first candidate at a time stays within the processor's cache
-        reached.append(np.stack([(costs + backwards).min(axis=1) for costs in reached[-1]]))
-    ending = reached[-1] + steps[-1].T if problem.cyclic else reached[-1]
     found = []
-    for first in np.argsort(ending.min(axis=1), kind="stable")[:most].tolist():
-        last = int(np.argmin(ending[first]))
-        path = [last]
-        for before, step in zip(reversed(reached[:-1]), reversed(steps[: len(layers) - 1])):
-            path.append(int(np.argmin(before[first] + step[:, path[-1]])))
-        chosen = list(zip(layers, reversed(path)))
+    for walk, seconds in cheapest_walks(steps, most, cyclic=problem.cyclic):
+        chosen = list(zip(layers, walk.tolist()))
         knots = [layer.q[row] for layer, row in chosen]
-        found.append((knots, [int(layer.sample[row]) for layer, row in chosen], float(ending[first, last])))
+        found.append((knots, [int(layer.sample[row]) for layer, row in chosen], seconds))
     return found
 
 

@@ -248,6 +248,18 @@ class LayoutSymbols:
 
         return self._once(("station wall", self._key(station)), make)
 
+    def base_wall_gap(self) -> LocalFunction:
+        """Return z = base, p = (sphere (3), normal (3), offset) to the gap."""
+
+        def make() -> LocalFunction:
+            base, _ = self._designs()
+            p = casadi.SX.sym("p", 7)
+            T = self._base_pose(base)
+            gap = casadi.dot(T[:3, :3] @ p[:3] + T[:3, 3], p[3:6]) - p[6]
+            return LocalFunction("gap", base, p, gap)
+
+        return self._once(("base wall",), make)
+
     def travel(self) -> LocalFunction:
         """Return z = (before, after, time), p = (speed, acceleration) limits of one joint to what it has to spare.
 
@@ -274,14 +286,53 @@ class LayoutSymbols:
 
         return self._once(("shift",), make)
 
+    def _cost(self) -> tuple[Any, Any]:
+        """Return a configuration and its extra cost, which the first joint cannot change: it moves the arm as a whole.
+
+        So the first joint is held at zero in the expression, which leaves fewer derivatives.
+        """
+        q = casadi.SX.sym("q", self.model.n_joints)
+        held = casadi.vertcat(casadi.SX(0.0), q[1:])
+        return q, cost_expression(self.model.jacobian(held), self.problem.cost)
+
     def extra_cost(self) -> LocalFunction:
         """Return z = q to one configuration's share of the extra cost L."""
 
         def make() -> LocalFunction:
-            q = casadi.SX.sym("q", self.model.n_joints)
-            return LocalFunction("cost", q, casadi.SX(0, 1), cost_expression(self.model.jacobian(q), self.problem.cost))
+            q, cost = self._cost()
+            return LocalFunction("cost", q, casadi.SX(0, 1), cost)
 
         return self._once(("cost",), make)
+
+    def knot_cost(self) -> LocalFunction:
+        """Return z = (q, total time), p = seconds to that configuration's part in the mean cost over the time."""
+
+        def make() -> LocalFunction:
+            q, cost = self._cost()
+            total, seconds = casadi.SX.sym("total"), casadi.SX.sym("seconds")
+            return LocalFunction("cost", casadi.vertcat(q, total), seconds, seconds / total * cost)
+
+        return self._once(("knot cost",), make)
+
+    def path_cost(self, place: Place) -> LocalFunction:
+        """Return z = (configuration, time, total time), p = (share, part, weight) to a place's part in the mean cost.
+
+        The place lies at a share of a segment, which lasts a part of a time, and stands for its weight of the segment.
+        """
+
+        def make() -> LocalFunction:
+            q, variables, where = self._configuration(place)
+            total, weight = casadi.SX.sym("total"), casadi.SX.sym("weight")
+            if place is Place.ARC:
+                time, part = variables[-1], where[1]
+            else:
+                time, part = casadi.SX.sym("time"), casadi.SX.sym("part")
+                variables, where = casadi.vertcat(variables, time), casadi.vertcat(where, part)
+            z, p = casadi.vertcat(variables, total), casadi.vertcat(where, weight)
+            here, cost = self._cost()
+            return LocalFunction.scaled("cost", z, p, time * part * weight / total, here, cost, q)
+
+        return self._once(("path cost", place), make)
 
 
 def _length(vector: Any) -> Any:

@@ -7,7 +7,14 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.interpolate import CubicHermiteSpline
 
-from cellwright.solvers.hermite import peak_acceleration, peak_velocity, position_extremes, states_at, subdivide
+from cellwright.solvers.hermite import (
+    interval_states,
+    peak_acceleration,
+    peak_velocity,
+    position_extremes,
+    states_at,
+    subdivide,
+)
 
 NUMBER = st.floats(-10.0, 10.0, allow_subnormal=False)
 STATES = st.tuples(
@@ -47,6 +54,20 @@ def test_states_between_are_those_of_scipys_spline(states, share):
     p, v = states_at(time, position, velocity, at)
     assert p == pytest.approx(spline(at), abs=1e-9)
     assert v == pytest.approx(spline(at, 1), abs=1e-6)
+
+
+@given(STATES, st.floats(0, 1))
+@settings(max_examples=60, deadline=None)
+def test_states_of_intervals_are_those_of_scipys_spline_accelerations_too(states, share):
+    gaps, position, velocity = states
+    time = np.cumsum(gaps)
+    found = interval_states(time, position, velocity, np.array([0.0, share, 1.0]))
+    for i in range(len(time) - 1):
+        both = slice(i, i + 2)
+        spline = CubicHermiteSpline(time[both], position[both], velocity[both])
+        at = time[i] + np.array([0.0, share, 1.0]) * (time[i + 1] - time[i])
+        for derivative, values in enumerate(found):
+            assert values[i] == pytest.approx(spline(at, derivative), rel=1e-7, abs=1e-4 * 10.0**derivative)
 
 
 @given(arrays(float, 5, elements=st.floats(0.01, 3.0)), arrays(np.int64, 4, elements=st.integers(1, 7)))

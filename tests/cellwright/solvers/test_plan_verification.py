@@ -12,7 +12,7 @@ from cellwright.cell.verification_scene import VerificationScene
 from cellwright.errors import InfeasibleError, InvalidInputError
 from cellwright.solvers import plan_verification as verification
 from cellwright.solvers.plan_verification import Tolerances
-from cellwright.solvers.pose_tasks.verification import TORQUE
+from cellwright.solvers.torque_verification import TORQUE
 from schemas.plan_objects import timed_plan
 from tests.cellwright.solvers import scanning_cell
 

@@ -204,14 +204,48 @@ def test_a_time_limit_that_is_over_at_once_still_returns_a_sequence():
 
 
 def test_a_memory_ceiling_leaves_a_bound_instead_of_a_proof():
-    problem = plane_problem(4, 14, 6, spread=np.inf)
+    problem = plane_problem(4, 17, 4, spread=np.inf)
     full = solve_sequence(problem, rng(), n_rounds=500)
-    tight = solve_sequence(problem, rng(), n_rounds=500, memory=20_000)
+    tight = solve_sequence(problem, rng(), n_rounds=500, memory=500)
     assert full.proven
     assert tight.lower_bound <= full.cost <= tight.cost
     assert problem.violation(tight.nodes) is None
-    if not tight.proven:
-        assert tight.stopped_by == "memory"
+    assert not tight.proven and tight.stopped_by == "memory"
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.sampled_from([1, 2**20, 2**34]))
+def test_large_whole_numbers_that_differ_by_ones_are_told_apart(seed, size):
+    generator = rng(seed)
+    cost = size + generator.integers(0, 4, (12, 12)).astype(float)
+    problem = SequencingProblem(cost, groups([2] * 6))
+    found = solve_sequence(problem, rng(), n_rounds=1)
+    assert found.lower_bound <= brute_force(problem) <= found.cost
+    assert found.proven
+
+
+def test_whole_numbers_too_large_for_that_are_proven_to_a_billionth():
+    assert tour_form(SequencingProblem(np.full((6, 6), 2.0**34), groups([2, 2, 2]))).integral
+    large = tour_form(SequencingProblem(np.full((6, 6), 2.0**39), groups([2, 2, 2])))
+    assert not large.integral and large.below(3 * 2.0**39) > 3 * 2.0**39 * (1.0 - 2e-9)
+
+
+def test_every_cycle_after_the_first_begins_with_a_double_bridge(monkeypatch):
+    """Even the second, in the first run, and if all chains have come to tours of the same cost."""
+    from cellwright.solvers.gtsp import search
+
+    kicked = []
+
+    def counted(tour, owner, form, generator):
+        kicked.append(len(tour))
+        return tour
+
+    monkeypatch.setattr(search, "_double_bridge", counted)
+    form = tour_form(SequencingProblem(np.ones((12, 12)), groups([2] * 6)))
+    TourSearch(form, rng()).run(search.FIRST_CYCLE)
+    assert kicked == []
+    TourSearch(form, rng()).run(search.FIRST_CYCLE + 1)
+    assert kicked == [6]
 
 
 def test_search_goes_on_from_a_known_sequence():

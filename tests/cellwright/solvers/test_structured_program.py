@@ -50,6 +50,28 @@ def test_assembled_derivatives_equal_those_of_the_whole_expression(seed: int) ->
     np.testing.assert_allclose(compiled.functions["hess_lag"](at, [], 2.0, lam), hessian, atol=1e-10)
 
 
+@given(st.integers(0, 10_000))
+@settings(max_examples=20, deadline=None)
+def test_derivatives_by_the_chain_rule_equal_those_of_the_whole_expression(seed: int) -> None:
+    z, p, x = casadi.SX.sym("z", 4), casadi.SX.sym("p", 2), casadi.SX.sym("x", 2)
+    inner = casadi.sin(x[0]) * x[1] ** 2 + x[0]
+    at = casadi.vertcat(p[0] * z[0] + (1.0 - p[0]) * z[1] * z[2], z[1] - p[1])
+    scale = p[1] * z[3] / (1.0 + z[0] ** 2)
+    chained = LocalFunction.scaled("chained", z, p, scale, x, inner, at)
+    plain = LocalFunction("plain", z, p, scale * casadi.substitute(inner, x, at))
+    rng = np.random.default_rng(seed)
+    where = rng.normal(size=4), rng.normal(size=2)
+    np.testing.assert_allclose(chained.value(*where), plain.value(*where), atol=1e-10)
+    for name, n in (("jacobian", 1), ("hessian", 4)):
+        dense = []
+        for function in (chained, plain):
+            rows, columns = getattr(function, f"{name}_rows"), getattr(function, f"{name}_columns")
+            full = np.zeros((n, 4))
+            full[rows, columns] = np.asarray(getattr(function, name)(*where, *([2.0] if n == 4 else []))).ravel()
+            dense.append(full)
+        np.testing.assert_allclose(*dense, atol=1e-10)
+
+
 def test_a_known_program_is_solved() -> None:
     z = casadi.SX.sym("z", 2)
     circle = LocalFunction("circle", z, casadi.SX(0, 1), casadi.sumsqr(z))
@@ -61,3 +83,11 @@ def test_a_known_program_is_solved() -> None:
     assert solved.success
     np.testing.assert_allclose(solved.x, [-0.6, -0.8], atol=1e-6)
     assert solved.violation < 1e-7
+
+
+def test_a_program_that_never_begins_makes_no_iterations() -> None:
+    program = StructuredProgram()
+    x = program.add_variables("x", np.zeros(1), np.ones(1))
+    program.add_linear("two demands", np.stack([x, x]), np.array([1.0]), np.array([0.2, 0.8]), np.array([0.2, 0.8]))
+    found = program.compiled().solve(np.zeros(1))
+    assert found.status == "Not_Enough_Degrees_Of_Freedom" and found.iterations == 0 and not found.success

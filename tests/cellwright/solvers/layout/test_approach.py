@@ -89,3 +89,29 @@ def test_places_between_poses_are_straight_lines() -> None:
     poses = pose(np.array([[0, 0, 0.0], [1.0, 0, 0]]), np.stack([np.eye(3), rotations(np.array([0, 0, 1.0]))]))
     middle = poses_at(poses, np.array([0.5]))[0]
     np.testing.assert_allclose(middle, pose(np.array([0.5, 0, 0]), rotations(np.array([0, 0, 0.5]))), atol=1e-12)
+
+
+def test_what_a_timed_approach_leaves_free_turns_as_evenly_as_its_knots_allow() -> None:
+    # a line along the flange's axis, which the wrist may turn about: knots turn it at one speed, then back
+    ends = np.stack([UR.flange_pose(Q)] * 2)
+    ends[1, :3, 3] += 0.3 * ends[0, :3, 2]
+    approach = Approach.along(ends, speed_m_s=0.1, target=TargetKind.AXIS)
+    knots = approach_knots(approach)
+    turns = 0.2 * np.concatenate([np.arange(3), [1.0]])[: len(knots.place)]
+    goals = knots.T_station_tool @ pose(
+        np.zeros((len(turns), 3)), rotations(turns[:, None] * np.array([0.0, 0.0, 1.0]))
+    )
+    knot_q = [Q]
+    for goal in goals[1:]:
+        knot_q.append(newton_steps(UR, np.eye(4), knot_q[-1][None], goal[None], TargetKind.POSE)[0][0])
+    rough, smooth = (
+        follow_approach(UR, np.eye(4), approach, np.eye(4), knots, np.array(knot_q), smooth=each)
+        for each in (False, True)
+    )
+    assert max(smooth.error_m, smooth.error_rad) < 1e-8
+    sharpest = []
+    for followed in (rough, smooth):
+        rate = np.diff(followed.dense_q[:, 5]) / followed.dense_s
+        sharpest.append(np.abs(np.diff(rate) / followed.dense_s[1:]).max())
+    between = np.diff(turns) / knots.durations_s
+    assert sharpest[1] < 1.3 * np.abs(np.diff(between)).max() / knots.durations_s[0] < 0.2 * sharpest[0]

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from cellwright.solvers.layout.checks import missing_checks, samples_of
+from cellwright.solvers.layout.checks import all_checks_at_rows, missing_checks, samples_of
 from cellwright.solvers.layout.examples import thin_wall_problem, two_machine_problem
 from cellwright.solvers.layout.geometry import LayoutGeometry
-from cellwright.solvers.layout.mesh import path_mesh
+from cellwright.solvers.layout.mesh import build_mesh, path_mesh
 from cellwright.solvers.layout.nlp import LayoutPoint
 from cellwright.solvers.layout.optimiser import solve_layout
 from cellwright.solvers.layout.paths import promising_paths
 from cellwright.solvers.layout.staged import StagedSettings
+from tests.cellwright.solvers.small_layouts import two_stations
 
 
 @pytest.mark.parametrize("long", [0, 3, 7])
@@ -59,3 +62,15 @@ def test_a_machine_is_not_entered_between_the_samples_of_a_fast_motion(seed: int
     settings = StagedSettings(polish=False)
     solution = solve_layout(problem, rng=np.random.default_rng([seed, 0]), settings=settings)
     assert solution.converged, solution.report.blocking
+
+
+def test_the_last_configuration_of_an_open_sequence_is_checked_too() -> None:
+    for cyclic in (True, False):
+        problem = replace(two_stations(obstacle=0.1), cyclic=cyclic)
+        geometry, mesh = LayoutGeometry(problem), build_mesh(problem, 4)
+        checks = all_checks_at_rows(geometry, mesh)
+        per_row = len(geometry.hull_radii)
+        rows, counts = np.unique(checks.motion[:, 0], return_counts=True)
+        # every configuration of the cycle once against every sphere, none of them twice
+        assert rows.tolist() == list(range(mesh.n_configs))
+        assert set(counts.tolist()) == {per_row}

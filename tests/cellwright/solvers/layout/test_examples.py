@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from cellwright.solvers.layout.bodies import box_hull
 from cellwright.solvers.layout.configurations import ConfigurationFinder
 from cellwright.solvers.layout.examples import (
     DOOR_HEIGHTS_M,
-    box_hull,
     four_station_problem,
     station_distance_problem,
     two_machine_problem,

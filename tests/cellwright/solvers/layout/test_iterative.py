@@ -7,7 +7,6 @@ import numpy as np
 from cellwright.solvers.layout.configurations import ConfigurationFinder
 from cellwright.solvers.layout.examples import (
     four_station_problem,
-    station_distance_problem,
     two_machine_problem,
     walled_station_problem,
 )
@@ -17,6 +16,7 @@ from cellwright.solvers.layout.proxies import PENALTY, best_sequence
 from cellwright.solvers.layout.staged import StagedSettings
 from cellwright.solvers.layout.symbols import LayoutSymbols
 from cellwright.solvers.particle_swarm import SwarmSettings
+from cellwright.worker_processes import WorkerProcesses
 
 SMALL = IterativeSettings(swarm=SwarmSettings(24, 8), trajectory=StagedSettings(n_branches=1, n_sweeps=0))
 
@@ -36,14 +36,25 @@ def test_early_rejection_changes_nothing() -> None:
 
 
 def test_processes_change_nothing() -> None:
-    problem = station_distance_problem()
-    settings = dataclasses.replace(SMALL, swarm=SwarmSettings(16, 3))
-    one, other = (
-        solve_iteratively(LayoutSymbols(problem), None, generator(), dataclasses.replace(settings, n_processes=n))
-        for n in (1, 2)
-    )
-    assert one.design.tobytes() == other.design.tobytes()
-    assert one.converged, one.report.blocking
+    problem = walled_station_problem(7)
+    designs = generator(1).uniform(problem.lower, problem.upper, (24, problem.n_design))
+    infinite = np.full(len(designs), np.inf)
+    inner = StagedSettings(n_coarse=3, n_bends=1, most_rounds=2, most_iterations=30)
+    with WorkerProcesses(CycleTimes, (problem, inner), 2) as workers:
+        alone, together = (
+            CycleObjective(ConfigurationFinder(problem, generator()), IterativeSettings(inner=inner), 0, each)
+            for each in (None, workers)
+        )
+        np.testing.assert_array_equal(together(designs, infinite), alone(designs, infinite))
+        assert workers.n_begun == 2
+
+
+def test_full_poses_in_an_empty_room_need_no_process() -> None:
+    problem = four_station_problem()
+    with WorkerProcesses(CycleTimes, (problem, SMALL.inner), 2) as workers:
+        objective = CycleObjective(ConfigurationFinder(problem, generator()), SMALL, 0, workers)
+        objective(generator(1).uniform(problem.lower, problem.upper, (300, problem.n_design)), np.full(300, np.inf))
+        assert workers.n_begun == 0
 
 
 def test_the_free_turn_about_the_tool_saves_time_and_never_costs_any() -> None:
@@ -55,7 +66,7 @@ def test_the_free_turn_about_the_tool_saves_time_and_never_costs_any() -> None:
     saved = []
     for row in served.tolist():
         sequence = best_sequence(finder, designs[row])
-        time = cycles.of(designs[row], sequence, 0)
+        time = cycles(designs[row], sequence, 0)
         if time < PENALTY:
             saved.append(sequence.joint_time_s - time)
     assert saved and min(saved) > -1e-6 and max(saved) > 1e-3
@@ -82,7 +93,7 @@ def test_approaches_of_several_poses_are_followed_and_timed() -> None:
     cycles = CycleTimes(problem, SMALL.inner)
     rows = np.array([[d, 0.0, 0.0, 0.0, d, np.pi / 2.0] for d in np.linspace(1.3, 2.3, 11)])
     served = np.flatnonzero(~finder.find(rows).unserved.any(axis=1))
-    times = [cycles.of(rows[row], best_sequence(finder, rows[row]), 0) for row in served.tolist()]
+    times = [cycles(rows[row], best_sequence(finder, rows[row]), 0) for row in served.tolist()]
     assert min(times) < PENALTY
     # a quarter turn of axis 1 there and back
     assert min(times) > 2.0 * 0.5 * np.pi / problem.arm.max_velocity[0] * 0.8

@@ -169,12 +169,92 @@ def test_a_higher_weight_improves_the_measure_it_weighs(which: str, along_path: 
     assert measured[2] <= measured[1] + 1e-6 <= measured[0] + 2e-6
 
 
+def mean_over_time(problem: LayoutProblem, solution: LayoutSolution) -> float:
+    """Return the mean of the extra cost over the cycle, by the trapezoidal rule on a grid of its own."""
+    area = seconds = 0.0
+    for motion in solution.transitions:
+        grid = np.linspace(0.0, motion.duration_s, 3001)
+        area += float(np.trapezoid(extra_costs(problem.arm, motion.at(grid), problem.cost), grid))
+        seconds += motion.duration_s
+    poses = problem.station_poses(solution.design)
+    for visit, where in enumerate(problem.visits):
+        approach = problem.approach_of(visit)
+        if approach is not None and approach.durations_s is not None:
+            clock = np.concatenate([[0.0], np.cumsum(approach.durations_s)])
+            grid = np.linspace(0.0, clock[-1], 3001)
+            points = np.stack([np.interp(grid, clock, each) for each in approach.T_station_tool[:, :3, 3].T], axis=1)
+            x, y, _ = (points @ poses[where.station, :3, :3].T + poses[where.station, :3, 3]).T
+            # the polar arm swivels to a point and reaches out to it
+            q = np.stack([np.arctan2(y, x), np.hypot(x, y)], axis=1)
+            area += float(np.trapezoid(extra_costs(problem.arm, q, problem.cost), grid))
+            seconds += approach.duration_s
+    return area / seconds
+
+
+def reach_beyond_ends(solution: LayoutSolution) -> float:
+    """Return how much farther than at the ends of its transitions the beam reaches on the way."""
+    return max(float((motion.q[:, 1] - motion.q[[0, -1], 1].max()).max()) for motion in solution.transitions)
+
+
+@pytest.mark.parametrize("method", ["staged", "direct", "second_order"])
+def test_a_cost_along_the_path_bends_motions_and_is_its_mean_over_the_time(method: str) -> None:
+    # of a polar arm manipulability grows with the reach, so the beam moves out and in again on its way
+    still = two_stations(radius=0.01).with_design(np.array([-1.0, 0.8, 1.0, 0.8]))
+    found = {}
+    for weight, along_path in ((0.2, True), (5.0, True), (5.0, False)):
+        cost = LayoutCost(manipulability=weight, along_path=along_path)
+        problem = replace(still, cost=cost)
+        # soft ends give way to a cost by as much as their price lets them
+        exact = DirectSettings(tracking=1e5) if method == "direct" else None
+        found[weight, along_path] = solution = solve_layout(problem, method, settings=exact)
+        assert solution.converged, solution.report.blocking
+        if along_path:
+            assert solution.extra_cost == pytest.approx(mean_over_time(problem, solution), rel=2e-4)
+    straight, bent = found[5.0, False], found[5.0, True]
+    if method != "direct":
+        # what a joint with time to spare does on its way is nobody's concern in the direct form
+        assert reach_beyond_ends(straight) < 1e-6
+    assert reach_beyond_ends(bent) > 0.1
+    along = replace(still, cost=LayoutCost(manipulability=5.0, along_path=True))
+    assert bent.cycle_time_s + bent.extra_cost < straight.cycle_time_s + mean_over_time(along, straight) - 0.05
+
+
+def test_timed_approaches_count_in_the_mean_over_the_time() -> None:
+    line = pose(np.array([[-0.3, 0.0, 0.0], [-0.15, 0.0, 0.0]]), np.tile(np.eye(3), (2, 1, 1)))
+    slow = Approach.along(np.concatenate([line, line[:1]]), speed_m_s=0.3, target=TargetKind.POSITION)
+    still = two_stations().with_design(np.array([-1.0, 0.9, 1.0, 0.9]))
+    stations = tuple(replace(station, approaches=(slow,)) for station in still.stations)
+    problem = replace(still, stations=stations, cost=LayoutCost(manipulability=1.0, along_path=True))
+    solution = solve_layout(problem)
+    assert solution.converged, solution.report.blocking
+    assert solution.extra_cost == pytest.approx(mean_over_time(problem, solution), rel=2e-3)
+
+
 def test_a_wall_holds_stations_and_beam() -> None:
     problem = replace(two_stations(), walls=(Wall("wall", np.array([-1.0, 0.0, 0.0]), -0.8),))
     solution = solve_layout(problem, start=START)
     assert solution.converged, solution.report.blocking
     hulls = problem.station_poses(solution.design)[:, 0, 3] + 0.1
     assert hulls.max() <= 0.8 + 1e-4
+
+
+def test_a_wall_holds_the_base_that_moves() -> None:
+    problem = two_stations().with_design(np.array([-0.5, 1.0, 0.5, 1.0]))
+    slide = Harness((Joint("slide", False, X, -0.6, 0.1),))
+    wall = Wall("wall", X, -0.35)
+    for start in (None, np.array([-0.5])):
+        held = solve_layout(replace(problem, base=slide, walls=(wall,)), start=start)
+        assert held.converged, held.report.blocking
+        # the column of 0.15 m radius as near to the wall as it gets, which takes less turning
+        assert held.design[0] == pytest.approx(-0.2, abs=1e-3)
+        assert held.design[0] >= -0.2 - 1e-4
+    assert "wall" in solve_layout(replace(problem, base=slide, walls=(wall,)), start=np.array([-0.5])).notes[0]
+
+
+def test_a_base_in_a_wall_is_named_with_its_depth() -> None:
+    problem = replace(two_stations(), base=Harness((Joint("slide", False, X, -0.6, -0.5),)))
+    with pytest.raises(InfeasibleError, match=r"wall and robot base overlap: relax it by 0\.35"):
+        solve_layout_from_starts(replace(problem, walls=(Wall("wall", X, -0.3),)), n_starts=1)
 
 
 def test_a_station_out_of_reach_is_named_with_its_distance() -> None:

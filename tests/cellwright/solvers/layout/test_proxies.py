@@ -8,10 +8,11 @@ import pytest
 
 from cellwright.arrays import FloatArray
 from cellwright.cell.serial_arm import SerialArm
-from cellwright.solvers.layout.bodies import Spheres
+from cellwright.solvers.layout.bodies import RobotSpheres, Spheres
 from cellwright.solvers.layout.configurations import ConfigurationFinder
 from cellwright.solvers.layout.examples import four_station_problem, station_distance_problem
 from cellwright.solvers.layout.geometry import LayoutGeometry
+from cellwright.solvers.layout.optimiser import solve_layout
 from cellwright.solvers.layout.problem import LayoutProblem
 from cellwright.solvers.layout.proxies import (
     PENALTY,
@@ -26,6 +27,7 @@ from cellwright.solvers.layout.proxies import (
 from cellwright.solvers.layout.staged import StagedSettings
 from cellwright.solvers.layout.symbols import LayoutSymbols
 from cellwright.solvers.particle_swarm import SwarmSettings
+from tests.cellwright.solvers.small_layouts import two_stations
 
 SMALL = SwarmSettings(30, 12)
 INFINITE = np.full(1, np.inf)
@@ -132,3 +134,15 @@ def test_the_same_seed_gives_the_same_layout_to_the_last_bit() -> None:
     problem = four_station_problem()
     one, other = (propose_layout(problem, Proxy.JOINT, generator(2), SMALL)[0] for _ in range(2))
     assert one.position.tobytes() == other.position.tobytes()
+
+
+def test_stations_that_cannot_part_do_not_converge_because_they_are_held_fixed() -> None:
+    problem = two_stations(radius=0.5, ranges=((0.0, 0.2), (0.1, 0.3)))
+    problem = dataclasses.replace(problem, robot_spheres=RobotSpheres())
+    settings = ProxySettings(Proxy.JOINT_TIME, SwarmSettings(8, 3), StagedSettings(n_branches=1, n_sweeps=0))
+    solution = solve_layout(problem, "proxy", settings=settings)
+    deepest = LayoutGeometry(problem).worst_layout_gaps(solution.design)[0]
+    assert not solution.converged
+    assert "station 1 and station 2 overlap" in solution.report.blocking
+    assert solution.report.layout_violation_m == pytest.approx(-deepest.gap_m)
+    assert deepest.gap_m < -0.5
