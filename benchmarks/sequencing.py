@@ -121,7 +121,12 @@ def lib(paths: list[Path], peer: str | None, seconds: float = 60.0) -> None:
         for limit in (1.0, 5.0, seconds):
             wall, own, r = timed(
                 lambda p=problem, limit=limit: solve_sequence(
-                    p, np.random.default_rng(0), method="search", n_rounds=10**7, stop=after(limit)
+                    p,
+                    np.random.default_rng(0),
+                    method="search",
+                    n_rounds=10**7,
+                    stop=after(limit),
+                    stop_bounds=after(0.4 * limit),
                 )
             )
             beside = f", best known {known:.0f}" if known else ""
@@ -152,7 +157,7 @@ def hundred(n_rounds: int = 400_000) -> None:
     ):
         short = timed(
             lambda p=problem: solve_sequence(
-                p, np.random.default_rng(0), method="search", n_rounds=10**7, stop=after(10.0)
+                p, np.random.default_rng(0), method="search", n_rounds=10**7, stop=after(10.0), stop_bounds=after(4.0)
             )
         )
         long = timed(

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from cellwright.solvers.gtsp.problem import SequencingResult
 
 UNLIMITED_ROUNDS = 10**9
+SHARE_OF_PROOF, SHARE_OF_BOUNDS = 0.9, 0.4
+"""Share of the time limit after which work on the bound ends, where a proof is likely and where it is not."""
 STOPS = {"stop": "the time limit", "work": "the limit of work", "memory": "the limit of memory"}
 """What ended the search, in words."""
 
@@ -71,7 +73,7 @@ def solve_file(options: argparse.Namespace) -> int:
     import numpy as np
 
     from cellwright.solvers.gtsp.gtsplib import read_gtsplib
-    from cellwright.solvers.sequencing import DEFAULT_ROUNDS, solve_sequence
+    from cellwright.solvers.sequencing import DEFAULT_ROUNDS, EXACT_UP_TO, solve_sequence
     from flows.caches import use_own_caches
 
     if options.overrides:
@@ -93,11 +95,13 @@ def solve_file(options: argparse.Namespace) -> int:
             raise InvalidInputError(f"--out {options.out} is the GTSPLIB file itself: name another file for the tour")
         prepare_folder(options.out.parent)
     begun = time.monotonic()
+    share = SHARE_OF_PROOF if problem.n_clusters <= EXACT_UP_TO else SHARE_OF_BOUNDS
     result = solve_sequence(
         problem,
         np.random.default_rng(seed),
         n_rounds=DEFAULT_ROUNDS if limit is None else UNLIMITED_ROUNDS,
         stop=None if limit is None else lambda: time.monotonic() - begun > limit,
+        stop_bounds=None if limit is None else lambda: time.monotonic() - begun > share * limit,
     )
     seconds = time.monotonic() - begun
     if options.out is not None:

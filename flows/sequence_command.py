@@ -9,7 +9,7 @@ from typing import Any
 from cellwright.errors import InvalidInputError
 from flows.subcommands import add_run_options, add_set, run_flow
 
-GTSPLIB_SUFFIXES = (".gtsp", ".agtsp")
+GTSPLIB_SUFFIXES = (".gtsp", ".agtsp", ".pcglns")
 
 
 def add_parser(commands: Any) -> None:
@@ -18,8 +18,8 @@ def add_parser(commands: Any) -> None:
         "sequence",
         help="order tasks and choose how the robot performs each",
         description="Find the sequence of the tasks in a sequence file, the arm's configuration at each, and the "
-        "collision-free motion through all of them; verify it, and report it. A GTSPLIB file (.gtsp) is solved as it "
-        "is.",
+        "collision-free motion through all of them; verify it, and report it. GTSPLIB files (.gtsp, .pcglns) are solved "
+        "as they are.",
         epilog="""\
 examples:
   cellwright sequence drilling_panel

@@ -50,6 +50,7 @@ def solve_sequence(
     max_work: float | None = None,
     memory: int = DEFAULT_MEMORY,
     stop: Stop | None = None,
+    stop_bounds: Stop | None = None,
     known: Sequence[Sequence[int] | Int32Array] = (),
     n_chains: int = 2,
     n_threads: int | None = None,
@@ -64,6 +65,8 @@ def solve_sequence(
         max_work: Sums and comparisons for proof and bound; a default for the method if left out.
         memory: Bytes that the states of dynamic programming may take.
         stop: Ends the work early when it returns true, for example after a time; asked a few times a second.
+        stop_bounds: Ends work on proof and bounds; what ``stop`` leaves goes into search. Without it a slow machine
+            may spend on bounds what the sequence would have gained more by.
         known: Sequences of alternatives to start from.
         n_chains: Searches side by side.
         n_threads: Threads; the result does not depend on them.
@@ -85,18 +88,28 @@ def solve_sequence(
     search = TourSearch(form, rng, tours, n_chains=n_chains)
     work = (DEFAULT_WORK if exact else BOUND_WORK) if max_work is None else max_work
     bound, n_states, multiplier, stopped_by = 0.0, 0, None, ""
+
+    def stopped() -> bool:
+        return stop is not None and stop()
+
+    def bounds_stopped() -> bool:
+        return stopped() or (stop_bounds is not None and stop_bounds())
+
     for rounds, share in EXACT_TURNS if exact else SEARCH_TURNS:
         tour = search.run(min(rounds, n_rounds - search.n_rounds), stop, target=bound, n_threads=n_threads).tour
         if share:
-            proof = prove(form, tour, max_work=share * work, memory=memory, stop=stop, multiplier=multiplier,
+            proof = prove(form, tour, max_work=share * work, memory=memory, stop=bounds_stopped, multiplier=multiplier,
                           n_threads=n_threads)  # fmt: skip
             search.take(proof.tour)
             tour, stopped_by, n_states = proof.tour, proof.stopped_by, n_states + proof.n_states
             bound, multiplier = max(bound, proof.bound), proof.multiplier
-        elif stop is not None and stop():
-            stopped_by = "stop"
-        if stopped_by in ("proof", "stop"):
+        if stopped_by == "proof":
             break
+        if stopped():
+            stopped_by = "stop"
+            break
+        if stopped_by == "stop":
+            stopped_by = "work"  # of the bounds alone
     return result_of(problem, form, tour, bound, stopped_by, search.n_rounds, n_states)
 
 

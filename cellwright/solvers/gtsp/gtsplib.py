@@ -2,6 +2,8 @@
 
 TSPLIB 95 (Reinelt) with two more keywords, ``GTSP_SETS`` and ``GTSP_SET_SECTION`` (Gutin and Karapetyan 2010). Types
 GTSP and AGTSP; weights EXPLICIT in all nine matrix formats, EUC_2D, EUC_3D, CEIL_2D, MAN_2D, MAX_2D, ATT and GEO.
+Type PCGLNS (Salman, Ekstedt and Damaschke 2020) is a tour from set 1 and back to it in which some sets come before
+others: ``GTSP_SET_ORDERING`` lists after a set those that come later; a weight of -1 is a way that does not exist.
 """
 
 from __future__ import annotations
@@ -20,6 +22,8 @@ from cellwright.solvers.gtsp.problem import SequencingProblem
 
 EARTH_KM = 6378.388
 """Radius that TSPLIB's GEO distances use."""
+ORDERED, ORDERING = "PCGLNS", "GTSP_SET_ORDERING"
+"""Type and section of tours in which some sets come before others."""
 TSPLIB_PI = 3.141592
 """The value of pi that TSPLIB's GEO distances use."""
 
@@ -100,11 +104,13 @@ def parse_gtsplib(text: str, name: str = "the text", *, symmetric: bool | None =
     """Return the problem that the text of a GTSPLIB file describes; as `read_gtsplib`."""
     file = _split(text, name)
     kind = (file.field("TYPE").split() or [""])[0]
-    if kind not in ("GTSP", "AGTSP"):
-        file.fail(file.fields["TYPE"].line, f"TYPE is {kind!r}: give GTSP or AGTSP")
+    if kind not in ("GTSP", "AGTSP", ORDERED):
+        file.fail(file.fields["TYPE"].line, f"TYPE is {kind!r}: give GTSP, AGTSP or {ORDERED}")
+    if ORDERING in file.sections and kind != ORDERED:
+        file.fail(file.line_of[ORDERING], f"{ORDERING} stands in a file of TYPE {kind}: write TYPE : {ORDERED}")
     n, n_sets = file.count("DIMENSION"), file.count("GTSP_SETS")
     weights = file.field("EDGE_WEIGHT_TYPE", ("EXPLICIT", *DISTANCES))
-    cost = _matrix(file, n) if weights == "EXPLICIT" else _distances(file, n, weights)
+    cost = _matrix(file, n, gaps=kind == ORDERED) if weights == "EXPLICIT" else _distances(file, n, weights)
     asymmetric = np.argwhere(cost != cost.T)
     if len(asymmetric) and (kind == "GTSP" or symmetric):
         i, j = asymmetric[0]
@@ -114,37 +120,59 @@ def parse_gtsplib(text: str, name: str = "the text", *, symmetric: bool | None =
             f"{said}, but {i + 1} to {j + 1} costs {cost[i, j]:g} and {j + 1} to {i + 1} costs {cost[j, i]:g}: "
             + ("write TYPE : AGTSP" if kind == "GTSP" else "read it as asymmetric"),
         )
-    return SequencingProblem(cost, _sets(file, n, n_sets))
+    sets, names = _sets(file, n, n_sets), tuple(f"set {k + 1}" for k in range(n_sets))
+    if kind != ORDERED:
+        return SequencingProblem(cost, sets, names=names)
+    before = _ordering(file, n_sets) if ORDERING in file.sections else ()
+    try:
+        return SequencingProblem(cost, sets, start=0, before=before, names=names)
+    except InvalidInputError as error:
+        raise InvalidInputError(f"{name}, line {file.line_of[ORDERING]}: {error}") from error
 
 
 def format_gtsplib(problem: SequencingProblem, name: str = "problem", comment: str = "") -> str:
     """Return the text of a GTSPLIB file with the costs as a matrix; `parse_gtsplib` gives the same problem back.
 
-    The format knows closed tours only, no service costs and no ways that do not exist.
+    The format knows closed tours only and no service costs; what must come before what and ways that do not exist only
+    in tours that start in the first cluster.
 
     Raises:
         InvalidInputError: If the problem has what the format cannot say.
     """
     owner = problem.cluster_of()
     between = owner[:, None] != owner[None, :]
+    ordered = problem.start == 0
     for unsaid, what, mend in (
         (not problem.closed, "an open sequence", "set closed"),
-        (problem.start is not None or problem.end is not None, "a start or end", "leave both out"),
-        (bool(problem.before), "what must come before what", "leave before out"),
+        (
+            problem.end is not None or problem.start not in (None, 0),
+            "an end, or another start than the first cluster",
+            "leave both out",
+        ),
+        (bool(problem.before) and not ordered, "what must come before what without a start", "start in cluster 0"),
         (bool(problem.service.any()), "service costs", "add half of each to the costs into and out of it"),
-        (bool(np.any(~np.isfinite(problem.cost) & between)), "infinite costs", "give a large number instead"),
+        (
+            bool(np.any(~np.isfinite(problem.cost) & between)) and not ordered,
+            "infinite costs",
+            "give a large number instead",
+        ),
     ):
         if unsaid:
             raise InvalidInputError(f"a GTSPLIB file cannot hold {what}: {mend}")
     # within a cluster anything may stand, and none of it is looked at
     cost = np.where(between | (np.isfinite(problem.cost) & (problem.cost >= 0.0)), problem.cost, 0.0)
-    kind = "GTSP" if np.array_equal(cost, cost.T) else "AGTSP"
+    kind = ORDERED if ordered else "GTSP" if np.array_equal(cost, cost.T) else "AGTSP"
+    cost = np.where(np.isfinite(cost), cost, -1.0)
     lines = [f"NAME : {name}", f"COMMENT : {comment}" if comment else "", f"TYPE : {kind}",
              f"DIMENSION : {len(cost)}", f"GTSP_SETS : {problem.n_clusters}", "EDGE_WEIGHT_TYPE : EXPLICIT",
              "EDGE_WEIGHT_FORMAT : FULL_MATRIX", "EDGE_WEIGHT_SECTION"]  # fmt: skip
     lines += [" ".join(_plain(x) for x in row) for row in cost.tolist()]
     lines.append("GTSP_SET_SECTION")
     lines += [f"{i + 1} {' '.join(str(v + 1) for v in own)} -1" for i, own in enumerate(problem.clusters)]
+    if ordered:
+        lines.append(ORDERING)
+        later = {i: sorted(j for i_, j in problem.before if i_ == i) for i, _ in sorted(problem.before)}
+        lines += [f"{i + 1} {' '.join(str(j + 1) for j in own)} -1" for i, own in later.items()]
     return "\n".join([line for line in lines if line] + ["EOF", ""])
 
 
@@ -161,7 +189,7 @@ def _split(text: str, name: str) -> _File:
         if stripped == "EOF":
             break
         key = stripped.split(":")[0].strip()
-        if re.fullmatch(r"[A-Z_0-9]+_SECTION", key):
+        if key == ORDERING or re.fullmatch(r"[A-Z_0-9]+_SECTION", key):
             if key in file.sections:
                 file.fail(number, f"{key} stands there a second time: drop one")
             words = file.sections[key] = []
@@ -178,7 +206,8 @@ def _split(text: str, name: str) -> _File:
     return file
 
 
-def _matrix(file: _File, n: int) -> FloatArray:
+def _matrix(file: _File, n: int, *, gaps: bool) -> FloatArray:
+    """Return the costs, (n, n); with ``gaps`` a weight of -1 is infinite."""
     section = "EDGE_WEIGHT_SECTION"
     shape = file.field("EDGE_WEIGHT_FORMAT", ("FULL_MATRIX", *TRIANGLES))
     words = file.section(section)
@@ -193,10 +222,11 @@ def _matrix(file: _File, n: int) -> FloatArray:
         values = np.array([word.text for word in words], np.float64)
     except ValueError:
         values = np.array([file.number(word, section) for word in words])
-    wrong = np.flatnonzero(~np.isfinite(values) | (values < 0))
+    wrong = np.flatnonzero(~np.isfinite(values) | ((values < 0) & ~(gaps & (values == -1.0))))
     if len(wrong):
         word = words[int(wrong[0])]
         file.fail(word.line, f"{section} has {word.text!r}: give finite numbers of at least 0")
+    values[values < 0] = np.inf
     if shape == "FULL_MATRIX":
         return values.reshape(n, n)
     cost = np.zeros((n, n))
@@ -251,6 +281,18 @@ def _sets(file: _File, n: int, n_sets: int) -> tuple[Int32Array, ...]:
         missing = next(node for node in range(1, n + 1) if node not in owner)
         file.fail(file.line_of[section], f"node {missing} is in no set ({n - len(owner)} such nodes): put it into one")
     return tuple(np.array(sets[k], np.int32) for k in range(1, n_sets + 1))
+
+
+def _ordering(file: _File, n_sets: int) -> tuple[tuple[int, int], ...]:
+    """Return the pairs (i, j) of clusters of which i comes before j."""
+    pairs: dict[tuple[int, int], None] = {}
+    for line, number, members in _set_rows(file, ORDERING):
+        for each in (number, *(file.whole(word, ORDERING) for word in members)):
+            if not 1 <= each <= n_sets:
+                file.fail(line, f"{ORDERING} has set {each}, but GTSP_SETS is {n_sets}: sets count from 1 to {n_sets}")
+            if each != number:
+                pairs[number - 1, each - 1] = None
+    return tuple(pairs)
 
 
 def _set_rows(file: _File, section: str) -> Iterator[tuple[int, int, list[_Word]]]:

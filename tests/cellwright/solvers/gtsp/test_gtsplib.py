@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import itertools
 from pathlib import Path
 
 import numpy as np
@@ -81,6 +82,45 @@ def test_what_is_written_reads_back_the_same(seed, symmetric, whole):
     assert all(np.array_equal(a, b) for a, b in zip(again.clusters, problem.clusters))
 
 
+@given(st.integers(0, 2**32 - 1))
+@settings(max_examples=30, deadline=None)
+def test_an_order_among_sets_and_missing_ways_read_back_the_same(seed):
+    rng = np.random.default_rng(seed)
+    sizes = rng.integers(1, 4, rng.integers(3, 7))
+    cost = np.floor(rng.uniform(0, 1e4, (sizes.sum(),) * 2))
+    n_first = sizes[0]
+    cost[n_first:, n_first:][rng.uniform(size=(len(cost) - n_first,) * 2) < 0.2] = np.inf
+    rank = rng.permutation(np.arange(1, len(sizes)))
+    before = tuple((int(a), int(b)) for a, b in itertools.pairwise(rank) if rng.uniform() < 0.5)
+    problem = SequencingProblem(cost, groups(sizes), start=0, before=before)
+    again = parse_gtsplib(format_gtsplib(problem))
+    owner = problem.cluster_of()
+    between = owner[:, None] != owner[None, :]
+    assert np.array_equal(again.cost[between], cost[between])
+    assert again.start == 0 and again.closed and set(again.before) == set(before)
+
+
+ORDERED = explicit("FULL_MATRIX", "0 1 2 3  1 0 4 5  -1 4 0 6  -1 9 6 0", "PCGLNS").replace("EOF\n", "")
+
+
+def test_a_tour_with_an_order_among_its_sets_is_read():
+    problem = parse_gtsplib(ORDERED + "GTSP_SET_ORDERING\n1 2 -1\nEOF\n")
+    assert problem.before == ((0, 1),) and problem.start == 0
+    assert problem.cost[2, 0] == np.inf and problem.cost[0, 2] == 2.0
+
+
+def test_what_is_wrong_with_an_order_is_told():
+    for order, message in (
+        ("1 7 -1", r"line \d+: GTSP_SET_ORDERING has set 7, but GTSP_SETS is 2"),
+        ("2 1 -1", "line 12: .*set 2 before set 1"),
+        ("1 2", "ends within set 1"),
+    ):
+        with pytest.raises(InvalidInputError, match=message):
+            parse_gtsplib(f"{ORDERED}GTSP_SET_ORDERING\n{order}\nEOF\n")
+    with pytest.raises(InvalidInputError, match="stands in a file of TYPE GTSP: write TYPE : PCGLNS"):
+        parse_gtsplib(explicit("FULL_MATRIX", "0 1 1 1  1 0 1 1  1 1 0 1  1 1 1 0") + "GTSP_SET_ORDERING\n1 2 -1\n")
+
+
 def test_what_stands_within_clusters_is_not_written():
     """Nobody looks at it, but a reader would refuse what is negative."""
     cost = np.where(np.eye(4, dtype=bool), -1.0, COST.astype(float))
@@ -153,7 +193,7 @@ def test_a_file_that_is_none_is_told(tmp_path):
 
 
 def test_what_the_format_cannot_hold_is_not_written():
-    for fields, message in (({"closed": False}, "open"), ({"start": 0}, "start"), ({"service": np.ones(4)}, "service")):
+    for fields, message in (({"closed": False}, "open"), ({"start": 1}, "start"), ({"service": np.ones(4)}, "service")):
         with pytest.raises(InvalidInputError, match=message):
             format_gtsplib(SequencingProblem(np.ones((4, 4)), ((0, 1), (2, 3)), **fields))
 
