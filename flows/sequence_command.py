@@ -18,8 +18,8 @@ def add_parser(commands: Any) -> None:
         "sequence",
         help="order tasks and choose how the robot performs each",
         description="Find the sequence of the tasks in a sequence file, the arm's configuration at each, and the "
-        "collision-free motion through all of them; verify it, and report it. GTSPLIB files (.gtsp, .pcglns) are solved "
-        "as they are.",
+        "collision-free motion through all of them; verify it, and report it. GTSPLIB files (.gtsp, .pcglns) are "
+        "solved as they are.",
         epilog="""\
 examples:
   cellwright sequence drilling_panel

@@ -118,7 +118,7 @@ def test_what_is_wrong_with_an_order_is_told():
         with pytest.raises(InvalidInputError, match=message):
             parse_gtsplib(f"{ORDERED}GTSP_SET_ORDERING\n{order}\nEOF\n")
     with pytest.raises(InvalidInputError, match="stands in a file of TYPE GTSP: write TYPE : PCGLNS"):
-        parse_gtsplib(explicit("FULL_MATRIX", "0 1 1 1  1 0 1 1  1 1 0 1  1 1 1 0") + "GTSP_SET_ORDERING\n1 2 -1\n")
+        parse_gtsplib(ORDERED.replace("TYPE : PCGLNS", "TYPE : GTSP") + "GTSP_SET_ORDERING\n1 2 -1\n")
 
 
 def test_what_stands_within_clusters_is_not_written():
