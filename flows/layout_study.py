@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 from cellwright.errors import InfeasibleError, SolverError
 from flows.execution import Watcher
 from flows.layout_requests import layout_request
+from flows.study_row import MADE
 from schemas.layout_file import load_layout_file
 from schemas.layout_objects import build_problem
 from schemas.layout_objects import drawn as drawn_layout
@@ -27,8 +28,6 @@ from storage.lake import Lake
 if TYPE_CHECKING:
     from rich.console import Console
 
-ATTEMPT = "attempt"
-"""Key of a row's `Attempt`, which is no column."""
 _MOST_REASONS = 5
 _GATED = ("cycle_s", "transition_s", "approach_s", "extra_cost_s", "median_cycle_s", "worst_cycle_s")
 _LABELS = {"cpu_s": "processor time, s", "iterations": "iterations", "tracking_m": "d, m"}
@@ -46,7 +45,7 @@ class Attempt:
 def row(
     file: Path, point: GridPoint, lake: str, refresh: Collection[str], watcher: Watcher, direct: bool
 ) -> dict[str, Any]:
-    """Run one point and return its row of the table, and the attempt itself as `ATTEMPT`."""
+    """Run one point and return its row of the table, and the attempt itself as `MADE`."""
     from flows import layout
 
     found: dict[str, Any] = {**point.point, "error": ""}
@@ -55,7 +54,7 @@ def row(
         result = layout.run(wanted, lake=lake, refresh=refresh, watcher=watcher, direct=direct, attempt=True)
     except (InfeasibleError, SolverError) as error:
         return {**found, "error": str(error)}
-    found[ATTEMPT] = Attempt(layout_request(wanted).layout.problem, result.refs)
+    found[MADE] = Attempt(layout_request(wanted).layout.problem, result.refs)
     figures = {
         name: value
         for name, value in result.summary.items()

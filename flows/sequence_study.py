@@ -6,13 +6,17 @@ weighted cost in parts: motions, strokes and holding still; time, torque and spe
 
 from __future__ import annotations
 
+import re
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cellwright.errors import InfeasibleError, SolverError
 from flows.execution import Watcher
+from flows.study_row import MADE
+from schemas.references import Ref
 from schemas.study_file import GridPoint, StudyFile
+from storage.lake import Lake
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -38,7 +42,7 @@ _PLANNING = ("generate_alternatives", "sequence_tasks")
 def row(
     file: Path, point: GridPoint, lake: str, refresh: Collection[str], watcher: Watcher, direct: bool
 ) -> dict[str, Any]:
-    """Run one point and return its row of the table."""
+    """Run one point and return its row of the table, and its recording's reference as `MADE`."""
     from flows import sequence
 
     found: dict[str, Any] = {**point.point, "error": ""}
@@ -51,7 +55,8 @@ def row(
     figures = {name: value for name, value in result.summary.items() if isinstance(value, str | int | float)}
     seconds = result.stage_seconds
     planning = sum(spent for name, spent in seconds.items() if name in _PLANNING)
-    return {**found, **figures, "planning_s": planning, **{f"{name} [s]": spent for name, spent in seconds.items()}}
+    found |= {MADE: result.refs["recording"], **figures, "planning_s": planning}
+    return found | {f"{name} [s]": spent for name, spent in seconds.items()}
 
 
 def _lines(study: StudyFile, rows: Sequence[Mapping[str, Any]]) -> tuple[list[str], list[list[str]]]:
@@ -96,6 +101,24 @@ def summary_page(study: StudyFile, rows: Sequence[Mapping[str, Any]]) -> str:
     head, lines = _lines(study, rows)
     ruler = [":---" if name in study.axes else "---:" for name in head]
     return f"# {study.name}\n\n" + "".join(f"| {' | '.join(line)} |\n" for line in (head, ruler, *lines))
+
+
+def further_files(
+    study: StudyFile, rows: Sequence[Mapping[str, Any]], made: Sequence[Ref | None], lake: Lake
+) -> dict[str, tuple[str, bytes]]:
+    """Return name and content of the files beside the table, by what they are: costs in parts, recordings of all runs.
+
+    Raises:
+        LakeError: If the lake has lost a recording since its run.
+    """
+    parts = parts_picture(study, rows)
+    found = {} if parts is None else {"weighted cost in parts": ("parts.png", parts)}
+    for number, (one, recording) in enumerate(zip(rows, made, strict=True), 1):
+        if recording is not None:
+            point = ", ".join(str(one[axis]) for axis in study.axes)
+            name = f"run_{number}_{re.sub('[^a-z0-9]+', '_', point.lower()).strip('_')[:60]}.mcap"
+            found[f"recording: {point}"] = name, lake.read(recording, "recording.mcap")
+    return found
 
 
 def parts_picture(study: StudyFile, rows: Sequence[Mapping[str, Any]]) -> bytes | None:

@@ -19,6 +19,7 @@ from flows.execution import Watcher, open_lake
 from flows.run_result import computing_seconds
 from flows.runner import Steps
 from flows.spherize import cover_mesh, mesh_rows, unit_factor
+from flows.study_row import MADE
 from schemas.hull_trial import HullTrial, hull_trial
 from schemas.references import Ref
 from schemas.study_file import FigureSection, GridPoint, StudyFile
@@ -29,8 +30,6 @@ if TYPE_CHECKING:
 
     from cellwright.figures.sphere_hull_picture import HullRow
 
-TRIAL = "trial"
-"""Key of a row's `Trial`, which is no column."""
 _HEAD = (
     "spheres", "proven", "covered", "volume ratio", "sticks out, mm (mean)", "(95 %)", "(largest)",
     "gap, mm (mean)", "(95 %)", "(largest)", "fit, s",
@@ -61,7 +60,7 @@ def check(study: StudyFile, point: GridPoint) -> None:
 def row(
     study: Path, point: GridPoint, lake: str, refresh: Collection[str], watcher: Watcher, direct: bool
 ) -> dict[str, Any]:
-    """Run one point and return its row of the table, and the run itself as `TRIAL`; one stage needs no Prefect."""
+    """Run one point and return its row of the table, and the run itself as `MADE`; one stage needs no Prefect."""
     settings = hull_trial(study, point.overrides)
     found: dict[str, Any] = {**point.point, "error": ""}
     facts = {"flow": "spherize", "cell": str(settings.mesh)}
@@ -85,7 +84,7 @@ def row(
     hull: Any = opened.load(ref)
     [metrics] = mesh_rows(hull)
     del metrics["body"]
-    return {**found, **metrics, "fit_s": computing_seconds(opened, record)[0], TRIAL: Trial(settings, ref)}
+    return {**found, **metrics, "fit_s": computing_seconds(opened, record)[0], MADE: Trial(settings, ref)}
 
 
 def _lines(study: StudyFile, rows: Sequence[Mapping[str, Any]]) -> tuple[list[str], list[list[str]]]:

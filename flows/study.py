@@ -18,6 +18,7 @@ from flows import layout_study, sequence_study, spherize_study
 from flows.examples import find_cell_file
 from flows.execution import REFRESHED, Watcher, open_lake
 from flows.result_folder import prepare_folder, write_files
+from flows.study_row import MADE
 from schemas.inspection_summary import METRICS
 from schemas.study_file import GridPoint, StudyFile, grid, load_study_file
 
@@ -128,7 +129,7 @@ def run(
                 watcher.finished(name, cached=False, seconds=time.monotonic() - begun)
     finally:
         REFRESHED.reset(token)
-    made = [row.pop(layout_study.ATTEMPT, None) or row.pop(spherize_study.TRIAL, None) for row in rows]
+    made = [row.pop(MADE, None) for row in rows]
     return StudyResult(study, rows, _write(study, rows, folder, made, lake))
 
 
@@ -194,9 +195,8 @@ def _write(
         names["summary"] = "summary.md"
         contents["summary.md"] = module.summary_page(study, rows).encode()
     if study.flow == "sequence":
-        parts = sequence_study.parts_picture(study, rows)
-        if parts is not None:
-            names["weighted cost in parts"], contents["parts.png"] = "parts.png", parts
+        for what, (name, content) in sequence_study.further_files(study, rows, made, open_lake(lake)).items():
+            names[what], contents[name] = name, content
     for number, figure in enumerate(study.figures, 1):
         name = f"figure_{number}_{re.sub('[^a-z0-9_]+', '_', figure.y).strip('_')}.png"
         names[figure.title] = name

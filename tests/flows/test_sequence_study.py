@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 import yaml
+from mcap.reader import make_reader
 
 from flows import command_line, sequence_study
 from schemas.study_file import load_study_file
@@ -61,6 +62,12 @@ def test_a_study_prices_sequences_and_keeps_failures_as_rows(
     page = (tmp_path / "out" / "summary.md").read_text()
     assert "| published |" in page and "12.5" in page
     assert (tmp_path / "out" / "figure_1_weighted_cost.png").stat().st_size > 5_000
+    assert [path.name for path in (tmp_path / "out").glob("*.mcap")] == ["run_1_by_slowest_joint.mcap"]
+    with (tmp_path / "out" / "run_1_by_slowest_joint.mcap").open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    assert summary is not None and summary.statistics is not None
+    seconds = 1e-9 * (summary.statistics.message_end_time - summary.statistics.message_start_time)
+    assert seconds == pytest.approx(row["duration_s"], abs=0.01)
 
 
 def test_the_table_shows_what_rows_have(tmp_path: Path) -> None:
