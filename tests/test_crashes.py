@@ -94,10 +94,13 @@ class Undisturbed:
     def lake_without(self, stage: str, copy: Path) -> Path:
         """Return a copy of the lake in which all that a stage made is missing."""
         shutil.copytree(self.lake, copy)
-        for manifest in Lake(str(copy)).manifests():
+        manifests = list(Lake(str(copy)).manifests())
+        kept = {manifest.folder for manifest in manifests if manifest.about.stage != stage}
+        for manifest in manifests:
             if manifest.about.stage == stage:
                 (copy / "manifests" / manifest.key[:2] / f"{manifest.key}.json").unlink()
-                shutil.rmtree(copy / manifest.folder, ignore_errors=True)
+                if manifest.folder not in kept:  # two stages may have made the same
+                    shutil.rmtree(copy / manifest.folder, ignore_errors=True)
         return copy
 
     def seconds(self, stage: str) -> float:

@@ -49,7 +49,10 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     site = Path(
         run(programs / "python", "-c", "import sysconfig; print(sysconfig.get_path('purelib'))", folder=folder)[:-1]
     )
-    (site / "dependencies.pth").write_text(sysconfig.get_path("purelib") + "\n")
+    dependencies = Path(sysconfig.get_path("purelib"))
+    # pinocchio and coal lie in a prefix of their own, which a .pth file of that environment adds
+    prefixed = dependencies / "cmeel.prefix" / "lib" / f"python{sysconfig.get_python_version()}" / "site-packages"
+    (site / "dependencies.pth").write_text(f"{dependencies}\n{prefixed}\n")
     return programs
 
 
