@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import math
 import sys
+import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TextIO
 
 from cellwright.errors import InvalidInputError
+from flows.progress import FIRST_WORD_S, NEXT_WORD_S
 from flows.result_folder import prepare_folder, write_files
 from flows.subcommands import print_summary
 
@@ -96,19 +99,53 @@ def solve_file(options: argparse.Namespace) -> int:
         prepare_folder(options.out.parent)
     begun = time.monotonic()
     share = SHARE_OF_PROOF if problem.n_clusters <= EXACT_UP_TO else SHARE_OF_BOUNDS
-    result = solve_sequence(
-        problem,
-        np.random.default_rng(seed),
-        n_rounds=DEFAULT_ROUNDS if limit is None else UNLIMITED_ROUNDS,
-        stop=None if limit is None else lambda: time.monotonic() - begun > limit,
-        stop_bounds=None if limit is None else lambda: time.monotonic() - begun > share * limit,
-    )
+    with contextlib.nullcontext() if options.json else telling(path.name, limit):
+        result = solve_sequence(
+            problem,
+            np.random.default_rng(seed),
+            n_rounds=DEFAULT_ROUNDS if limit is None else UNLIMITED_ROUNDS,
+            stop=None if limit is None else lambda: time.monotonic() - begun > limit,
+            stop_bounds=None if limit is None else lambda: time.monotonic() - begun > share * limit,
+        )
     seconds = time.monotonic() - begun
     if options.out is not None:
         write_files(options.out.parent, {options.out.name: _tour_text(path, result).encode()})
     print_summary(SolvedFile(path, result, seconds, options.out), as_json=options.json)
     sys.stdout.flush()
     return 0
+
+
+@contextlib.contextmanager
+def telling(
+    name: str,
+    limit: float | None,
+    stream: TextIO | None = None,
+    first_word_s: float = FIRST_WORD_S,
+    next_word_s: float = NEXT_WORD_S,
+) -> Iterator[None]:
+    """Write a line to ``stream`` (standard error if left out) now and then while the block lasts, so that it is alive.
+
+    ``limit`` is the time limit in s, which the line names; the first line comes after ``first_word_s``, the next ones
+    every ``next_word_s``.
+    """
+    stream = stream or sys.stderr
+    ended, begun = threading.Event(), time.monotonic()
+    of = "" if limit is None else f" of {limit:g} s at most"
+
+    def tell() -> None:
+        wait = first_word_s
+        while not ended.wait(wait):
+            with contextlib.suppress(OSError, ValueError):  # nobody reads it: no reason to stop
+                print(f"{name}: searching for {time.monotonic() - begun:.0f} s{of}", file=stream, flush=True)
+            wait = next_word_s
+
+    teller = threading.Thread(target=tell, daemon=True)
+    teller.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        teller.join()
 
 
 def _tour_text(path: Path, result: SequencingResult) -> str:

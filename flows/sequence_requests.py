@@ -79,6 +79,7 @@ def _request(file: SequenceFile) -> SequenceRequest:
             cost=planner.cost,
             motions=planner.motions,
             dynamics=_dynamics(file, payload),
+            keep_accelerations=planner.keep_accelerations,
             **rules,
             max_motions=planner.max_motions,
             max_work=planner.max_work,
@@ -95,6 +96,7 @@ def _request(file: SequenceFile) -> SequenceRequest:
             **rules,
             touches=file.tool.touches,
             by_torque=(by_torque := "optimal_control" in (planner.cost, planner.motions)),
+            keep_accelerations=planner.keep_accelerations,
             payload=payload if by_torque else None,
         ),
         report=SequenceReportParams(

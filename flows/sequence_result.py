@@ -10,7 +10,14 @@ from typing import ClassVar
 from flows.run_record import StepRecord
 from flows.run_result import RunResult, gathered
 from flows.runner import Step
-from schemas.sequence_summary import bound_words, distance_words
+from schemas.sequence_summary import (
+    acceleration_words,
+    alternatives_words,
+    bound_words,
+    cost_label,
+    distance_words,
+    ordering_words,
+)
 from schemas.tasks import SequenceReport
 from storage.lake import Lake
 
@@ -40,26 +47,29 @@ class SequenceResult(RunResult):
         return cls(**gathered(name, run_id, lake, steps, records), summary=json.loads(report.summary), report=report)
 
     def remarks(self) -> Iterable[str]:
-        """Return the sequence."""
+        """Return the sequence, and what to mind of it."""
         names = self.summary["sequence"]
         more = f", and {len(names) - _MOST_SHOWN} more" if len(names) > _MOST_SHOWN else ""
-        return (f"Sequence: {', '.join(names[:_MOST_SHOWN])}{more}.",)
+        yield f"Sequence: {', '.join(names[:_MOST_SHOWN])}{more}."
+        yield from (f"Attention: {finding}." for finding in self.summary["attention"])
 
     def rows(self) -> list[tuple[str, str]]:
         """Return the summary as pairs of label and value."""
         figures = self.summary
         unit = figures["unit"]
         orders = [
-            (f"cost: {name}", "a way has no motion" if cost is None else f"{cost:.2f} {unit}".strip())
+            (f"{cost_label(figures)}: {name}", "a way has no motion" if cost is None else f"{cost:.2f} {unit}".strip())
             for name, cost in figures["orders"].items()
         ]
         return [
             ("tasks", f"{figures['tasks']}"),
-            ("alternatives", f"{figures['alternatives']:,}"),
+            ("alternatives", alternatives_words(figures)),
             ("cycle time", f"{figures['duration_s']:.2f} s ({figures['moving_s']:.2f} s moving)"),
+            *([("ordered by", ordered)] if (ordered := ordering_words(figures)) else []),
             *orders,
             ("lower bound", bound_words(figures)),
-            ("motions planned", f"{figures['motions_planned']:,} of {figures['motions_possible']:,}"),
+            ("motions planned", f"{figures['motions_planned']:,} of {figures['motions_possible']:,} by the search"),
+            *([("greatest acceleration", fast)] if (fast := acceleration_words(figures)) else []),
             ("verified states", f"{figures['verified_states']:,} by {figures['verified_by']}"),
             ("least distance", distance_words(figures)),
         ]

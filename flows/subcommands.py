@@ -58,7 +58,7 @@ def add_set(command: argparse.ArgumentParser) -> None:
         default=[],
         metavar="PATH=VALUE",
         dest="overrides",
-        help="lay a setting over the cell file, e.g. part.scale=0.5; may be repeated",
+        help="lay a setting over the file, e.g. part.scale=0.5; may be repeated",
     )
 
 

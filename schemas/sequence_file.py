@@ -201,6 +201,10 @@ class SequencePlannerSection(Section):
         default=None,
         description="Weights of optimal control; where they are given, other sequences are priced by them too.",
     )
+    keep_accelerations: bool = Field(
+        default=False,
+        description="Whether motions of optimal control keep acceleration limits beside torque limits.",
+    )
     start: Literal["home", "anywhere"] = Field(
         default="home", description="Begin at `robot.start`, or at the first task."
     )

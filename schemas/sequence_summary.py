@@ -20,6 +20,7 @@ SEQUENCE_METRICS = frozenset(
         "alternatives",
         "alternatives_fewest",
         "alternatives_most",
+        "alternatives_left_out",
         "cost",
         "lower_bound",
         "gap",
@@ -48,6 +49,7 @@ SEQUENCE_METRICS = frozenset(
         "weighted_effort",
         "weighted_velocity",
         "torque_share",
+        "acceleration_share",
     }
 )
 """Figures of a sequence that studies may show."""
@@ -67,9 +69,12 @@ def summarise_sequence(
         "alternatives": len(alternatives.task),
         "alternatives_fewest": int(per_task.min()),
         "alternatives_most": int(per_task.max()),
+        "alternatives_left_out": int(alternatives.n_left_out.sum()),
+        "tasks_left_out": int((alternatives.n_left_out > 0).sum()),
         "cost_of": sequence.cost_name,
         "unit": sequence.unit,
         "cost": sequence.cost,
+        "cost_is_cycle": _is_cycle(sequence),
         "lower_bound": sequence.lower_bound,
         "gap": _gap(sequence.cost, sequence.lower_bound),
         "likely_bound": likely,
@@ -99,8 +104,28 @@ def summarise_sequence(
         "proven_distance_m": verification.proven_distance_m if math.isfinite(verification.proven_distance_m) else None,
         "nearest_bodies": list(verification.nearest_bodies),
         "nearest_s": verification.nearest_s,
+        "acceleration_share": sequence.acceleration_share if math.isfinite(sequence.acceleration_share) else None,
+        "keeps_accelerations": sequence.keeps_accelerations,
+        "keeps_torques": sequence.keeps_torques,
+        "attention": _attention(sequence),
         **_weighted(sequence),
     }
+
+
+def _is_cycle(sequence: TaskSequence) -> bool:
+    """Tell whether the cost is the time that the sequence takes, and not another time by which it was ordered."""
+    return sequence.unit == "s" and math.isclose(sequence.cost, float(sequence.time_s[-1]), rel_tol=1e-6)
+
+
+def _attention(sequence: TaskSequence) -> list[str]:
+    """Return what the sequence asks of the arm beyond limits that it was not planned by, and what mends it."""
+    if sequence.keeps_torques or sequence.torque_share <= 1.0:
+        return []
+    return [
+        f"the largest torque is {sequence.torque_share:.1%} of its limit, since motions in time keep speeds and "
+        "accelerations alone: set planner.motions or planner.cost to optimal_control, lower robot.max_acceleration, or "
+        "carry less"
+    ]
 
 
 def _gap(cost: float, bound: float) -> float:
@@ -145,17 +170,54 @@ def distance_words(figures: dict[str, Any]) -> str:
     return f"{1e3 * figures['least_distance_m']:.2f} mm (proven {at_least:.2f}), {between}"
 
 
+def alternatives_words(figures: dict[str, Any]) -> str:
+    """Say how many alternatives there are, and how many ways were left out."""
+    kept = f"{figures['alternatives']:,}"
+    if not figures["alternatives_left_out"]:
+        return kept
+    tasks = figures["tasks_left_out"]
+    return (
+        f"{kept} kept, at most {figures['alternatives_most']} a task (planner.max_alternatives); "
+        f"{figures['alternatives_left_out']:,} further ways of {tasks} task{'s' * (tasks != 1)} left out untried"
+    )
+
+
+def acceleration_words(figures: dict[str, Any]) -> str:
+    """Say how far motions exceed acceleration limits that they do not keep, and what they keep; or nothing."""
+    if figures["acceleration_share"] is None or figures["keeps_accelerations"]:
+        return ""
+    return (
+        f"{figures['acceleration_share']:.3g} times its stated limit; motions keep torque limits instead, see "
+        "planner.keep_accelerations"
+    )
+
+
+def cost_label(figures: dict[str, Any]) -> str:
+    """Return what the cost is called: where it is a time, but not the cycle's, so that nobody takes it for that."""
+    return "ordering cost" if figures["unit"] == "s" and not figures["cost_is_cycle"] else "cost"
+
+
+def ordering_words(figures: dict[str, Any]) -> str:
+    """Say what the tasks were ordered by where that is a time other than the cycle's; or nothing."""
+    if cost_label(figures) == "cost":
+        return ""
+    by = {"velocity bound": "the slowest joint at full speed", "timed path": "the time of motions planned in time"}
+    taken = "motions of optimal control" if figures["keeps_torques"] else "timed motions"
+    return f"{by.get(figures['cost_of'], figures['cost_of'])}; not the cycle time, which is that of {taken}"
+
+
 def bound_words(figures: dict[str, Any]) -> str:
     """Say what is proven of the sequence, and what is likely where guesses were measured."""
     unit = figures["unit"]
     bound = f"{figures['lower_bound']:.2f} {unit}".strip()
     if figures["proven"]:
-        return f"{bound} (proven: none of these alternatives is cheaper)"
+        return f"{bound} (proven: no other sequence over the motions found is cheaper)"
     gap = f"(gap {figures['gap']:.1%}, stopped by {figures['stopped_by']})"
     if figures.get("likely_bound") is None:
         return f"{bound} {gap}"
     likely = f"{figures['likely_bound']:.2f} {unit}".strip()
     return (
         f"{bound} proven {gap}; {likely} (gap {figures['likely_gap']:.1%}) if no motion is cheaper than "
-        f"{figures['least_ratio']:.2f} of its guess, as none of {figures['motions_guessed']:,} was"
+        f"{figures['least_ratio']:.2f} of its guess, as none was of the {figures['motions_guessed']:,} that were "
+        "planned, other orders included"
     )

@@ -164,10 +164,10 @@ def _likely(route: Route) -> dict[str, Any]:
 def _prices(
     motions: Sequence[TimedMotion], q_task: Sequence[FloatArray], stays: FloatArray, arm: PricedArm | None
 ) -> dict[str, Any]:
-    """Return the columns and facts that say what motions ask of the arm, zeros if nobody counts."""
+    """Return the columns and facts that say what motions ask of the arm, not a number if nobody counts."""
     weights, share = (0.0, 0.0, 0.0), 0.0
-    squares = np.zeros((len(motions), 2))
-    holding = np.zeros(len(q_task))
+    squares = np.full((len(motions), 2), np.nan)
+    holding = np.full(len(q_task), np.nan)
     if arm is not None:
         from cellwright.solvers.optimal_control.measures import measure
 

@@ -52,6 +52,9 @@ class TaskAlternatives(Artefact):
     n_solutions: Int32Array = column("Solutions of its inverse kinematics", dtype="int32", table="tasks")
     n_within_limits: Int32Array = column("Solutions within the joint limits", dtype="int32", table="tasks")
     n_blocked: Int32Array = column("Solutions tried that collide", dtype="int32", table="tasks")
+    n_left_out: Int32Array = column(
+        "Ways within the joint limits not tried, as enough were kept", dtype="int32", table="tasks"
+    )
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -71,25 +74,31 @@ class TaskSequence(Artefact):
     end_s: FloatArray = column("Time at which it ends", unit="s", table="segments")
     via: tuple[str, ...] = column("How a motion was found; empty on work", dtype="str", table="segments")
     torque_squared_n2m2s: FloatArray = column(
-        "Integral of the squared joint torques; 0 where dynamics do not count", unit="N^2 m^2 s", table="segments"
+        "Integral of the squared joint torques; NaN where dynamics do not count",
+        unit="N^2 m^2 s",
+        table="segments",
     )
     speed_squared_rad2_s: FloatArray = column(
-        "Integral of the squared joint speeds; 0 where dynamics do not count", unit="rad^2/s", table="segments"
+        "Integral of the squared joint speeds; NaN where dynamics do not count",
+        unit="rad^2/s",
+        table="segments",
     )
     task: Int32Array = column("Task of the stop", dtype="int32", table="stops")
     alternative: Int32Array = column("Its alternative", dtype="int32", table="stops")
     arrive_s: FloatArray = column("Time at which the tool is at the task's pose", unit="s", table="stops")
     leave_s: FloatArray = column("Time at which it leaves it", unit="s", table="stops")
     holding_n2m2s: FloatArray = column(
-        "Of the segment's squared torques those that hold the arm at the task", unit="N^2 m^2 s", table="stops"
+        "Of the segment's squared torques those that hold the arm at the task; NaN where dynamics do not count",
+        unit="N^2 m^2 s",
+        table="stops",
     )
     order: tuple[str, ...] = column("Orders that were compared", dtype="str", table="orders")
     order_cost: FloatArray = column("Cost of the order, infinite where a way has no motion", table="orders")
     cost_name: str = fact("What was minimised", dtype="str")
     unit: str = fact("Unit of the costs", dtype="str")
     cost: float = fact("Cost of the sequence: motions, strokes and dwells")
-    lower_bound: float = fact("No sequence of these alternatives costs less")
-    proven: bool = fact("Whether no sequence of these alternatives can be cheaper", dtype="bool")
+    lower_bound: float = fact("No sequence of these alternatives costs less over the motions found")
+    proven: bool = fact("Whether none can be cheaper over the motions found", dtype="bool")
     stopped_by: str = fact("What ended the search", dtype="str")
     n_evaluated: int = fact("Motions planned until the sequence was known", dtype="int64")
     n_motions: int = fact("Motions that there are between alternatives", dtype="int64")
@@ -106,6 +115,9 @@ class TaskSequence(Artefact):
         "Least true cost over guess of the motions planned, rounded down to hundredths", default=math.nan
     )
     n_guessed: int = fact("Motions planned that were guessed at before", dtype="int64", default=0)
+    acceleration_share: float = fact("Greatest joint acceleration as a share of its limit", default=math.nan)
+    keeps_torques: bool = fact("Whether motions keep torque limits", dtype="bool", default=False)
+    keeps_accelerations: bool = fact("Whether motions keep acceleration limits", dtype="bool", default=True)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

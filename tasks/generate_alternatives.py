@@ -37,7 +37,7 @@ class AlternativeParams(Params):
     )
 
 
-@stage(version=1)
+@stage(version=2)
 def generate_alternatives(
     cell: CellModel, tasks: TaskList, *, params: AlternativeParams, progress: Progress = no_progress
 ) -> TaskAlternatives:
@@ -84,6 +84,7 @@ def generate_alternatives(
         n_solutions=np.array([tally.n_solutions for tally in tallies], np.int32),
         n_within_limits=np.array([tally.n_within_limits for tally in tallies], np.int32),
         n_blocked=np.array([sum(tally.blocked.values()) for tally in tallies], np.int32),
+        n_left_out=np.array([tally.n_left_out for tally in tallies], np.int32),
     )
 
 

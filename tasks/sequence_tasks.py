@@ -3,7 +3,8 @@
 Method in `cellwright.solvers.pose_tasks.route`: a generalised travelling-salesman problem on lower bounds, whose
 motions are planned only as far as a sequence could win by them. Every motion that is used is confirmed in steps in
 which no point of the robot moves further than ``confirm_step_m``. With ``optimal_control`` as the cost, motions are
-those of `cellwright.solvers.optimal_control.motion` and torque limits take the place of acceleration limits.
+those of `cellwright.solvers.optimal_control.motion` and torque limits take the place of acceleration limits, or, with
+``keep_accelerations``, stand beside them.
 """
 
 from __future__ import annotations
@@ -63,6 +64,9 @@ class SequenceParams(Params):
     dynamics: DynamicsParams | None = Field(
         default=None, description="How dynamics are weighed; without it a sequence in time is not priced by them."
     )
+    keep_accelerations: bool = Field(
+        default=False, description="Whether optimal motions keep the joints' acceleration limits too."
+    )
     from_start: bool = Field(default=True, description="Whether it begins at the start configuration.")
     returns: bool = Field(default=True, description="Whether it comes back to where it began.")
     end_rad: tuple[float, ...] | None = Field(default=None, description="Configuration at which it ends.")
@@ -90,7 +94,7 @@ class SequenceParams(Params):
         return self.dynamics is not None or self.optimal_motions
 
 
-@stage(version=3)
+@stage(version=4)
 def sequence_tasks(
     cell: CellModel,
     tasks: TaskList,
@@ -156,7 +160,21 @@ def sequence_tasks(
     progress(1.0)
     dwells = [listed_tasks[ways[stop].task].dwell for stop in route.stops]
     found = sequence_of(route, ways, work, dwells, motions=motions, arm=None if dynamic is None else dynamic.arm)
-    return replace(found, alternative=np.array(rows, np.int32)[found.alternative])
+    return replace(
+        found,
+        alternative=np.array(rows, np.int32)[found.alternative],
+        acceleration_share=_acceleration_share(built, found),
+        keeps_torques=params.optimal_motions,
+        keeps_accelerations=params.keep_accelerations or not params.optimal_motions,
+    )
+
+
+def _acceleration_share(cell: Cell, found: TaskSequence) -> float:
+    """Return the greatest joint acceleration of the curve as a share of its limit."""
+    from cellwright.solvers.hermite import peak_acceleration
+
+    peak = peak_acceleration(found.time_s, found.position_rad, found.velocity_rad_s)  # (intervals, joints)
+    return float((peak / cell.robot.chain.max_acceleration).max())
 
 
 def _checked_end(cell: Cell, scene: Scene, end_rad: tuple[float, ...]) -> FloatArray:
@@ -242,7 +260,9 @@ class _Dynamic:
         own = params.dynamics or DynamicsParams()
         weights = CostWeights(own.time_per_s, own.effort, own.velocity)
         dynamics = dynamics_of(cell, None if own.payload is None else own.payload.payload())
-        settings = DynamicSettings(weights, own.n_steps, params.confirm_step_m, params.sample_s)
+        settings = DynamicSettings(
+            weights, own.n_steps, params.confirm_step_m, params.sample_s, keep_accelerations=params.keep_accelerations
+        )
         self._cell, self._sample, self._end = cell, params.sample_s, params.end_rad
         self.arm: PricedArm = PricedArm(dynamics, effort_limits(dynamics, None), weights)
         self.cost = optimal_control_cost(cell, scene, planned, dynamics, settings)

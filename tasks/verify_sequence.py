@@ -3,7 +3,7 @@
 As `tasks.verify_plan`, and besides: every task is performed once, in an order that is permitted, with the tool where
 the task wants it for as long as it wants it, and strokes are straight. During strokes and the dwell between them bodies
 that touch at work may touch; on all other motions they may not. Of optimal motions torques are checked in place of
-accelerations.
+accelerations, or beside them where motions keep both.
 """
 
 from __future__ import annotations
@@ -37,6 +37,7 @@ class SequenceVerifyParams(Params):
         default=(), description="Pairs of bodies that may touch while a task is worked on."
     )
     by_torque: bool = Field(default=False, description="Whether torques are limited, and accelerations are not.")
+    keep_accelerations: bool = Field(default=False, description="Whether accelerations are limited beside torques.")
     payload: PayloadParams | None = Field(default=None, description="What the arm carries, where torques are checked.")
     step_m: float = Field(default=1e-3, gt=0, le=1e-3, description="Furthest motion of any point between states.")
     step_rad: float = Field(default=math.radians(0.1), gt=0, le=math.radians(0.1) * (1 + 1e-9))
@@ -102,7 +103,8 @@ def verify_sequence(
     verification.require(checks)
     limits = verification.check_limits(plan, built, tolerances, returns=params.returns and params.end_rad is None)
     if params.by_torque:
-        limits = [check for check in limits if "acceleration" not in check.name]
+        if not params.keep_accelerations:
+            limits = [check for check in limits if "acceleration" not in check.name]
         payload = None if params.payload is None else params.payload.payload()
         limits.append(check_torques(plan, built, payload, tolerances))
     checks += limits

@@ -16,7 +16,15 @@ from pydantic import Field
 
 from schemas.motion import Verification
 from schemas.params import Params
-from schemas.sequence_summary import bound_words, distance_words, summarise_sequence
+from schemas.sequence_summary import (
+    acceleration_words,
+    alternatives_words,
+    bound_words,
+    cost_label,
+    distance_words,
+    ordering_words,
+    summarise_sequence,
+)
 from schemas.sources import CellModel
 from schemas.stage import stage
 from schemas.tasks import SequenceReport, TaskAlternatives, TaskList, TaskSequence
@@ -46,7 +54,7 @@ def sequence_template_digest() -> str:
     return hashlib.sha256(f"{_template()}\n{json.dumps(drawn_by, sort_keys=True)}".encode()).hexdigest()
 
 
-@stage(version=3)
+@stage(version=4)
 def write_sequence_report(
     cell: CellModel,
     tasks: TaskList,
@@ -71,7 +79,7 @@ def write_sequence_report(
     places = tasks.T_world_tool.reshape(-1, 4, 4)[sequence.task, :3, 3]
     path_png = tool_path_picture(built, (flange @ built.T_flange_scanner)[:, :3, 3], places)
     costs = dict(zip(sequence.order, sequence.order_cost.tolist(), strict=True))
-    orders_png = orders_chart(costs, _parts(summary), sequence.lower_bound, sequence.unit)
+    orders_png = orders_chart(costs, _parts(summary), sequence.lower_bound, sequence.unit, cost_label(summary))
     segments = [
         (float(begin), float(end), kind != "motion")
         for begin, end, kind in zip(sequence.start_s, sequence.end_s, sequence.kind, strict=True)
@@ -88,6 +96,9 @@ def write_sequence_report(
         tiles=_tiles(summary),
         bound=bound_words(summary),
         distance=distance_words(summary),
+        ordered=ordering_words(summary),
+        cost_label=cost_label(summary),
+        alternatives=alternatives_words(summary),
         stops=_stop_rows(tasks, alternatives, sequence),
         orders=_order_rows(summary),
         prices=_price_rows(summary),
@@ -126,7 +137,10 @@ def _tiles(summary: dict[str, Any]) -> list[dict[str, str]]:
         {"value": f"{summary['tasks']}", "label": "tasks"},
         {"value": f"{summary['alternatives']:,}", "label": "alternatives"},
         {"value": f"{summary['gap']:.1%}", "label": "gap to the lower bound"},
-        {"value": f"{summary['motions_planned']:,}", "label": f"motions planned of {summary['motions_possible']:,}"},
+        {
+            "value": f"{summary['motions_planned']:,}",
+            "label": f"motions planned of {summary['motions_possible']:,}, by the search",
+        },
         {"value": f"{summary['verified_states']:,}", "label": f"states verified by {summary['verified_by']}"},
     ]
 
@@ -174,7 +188,12 @@ def _price_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
         "weighted_velocity": "of all: squared speed",
     }
     rows = [(label, f"{summary[name]:.2f}") for name, label in words.items()]
-    return [*rows, ("largest torque, share of its limit", f"{summary['torque_share']:.1%}")]
+    fast = acceleration_words(summary)
+    return [
+        *rows,
+        ("largest torque, share of its limit", f"{summary['torque_share']:.1%}"),
+        *([("greatest acceleration", fast)] if fast else []),
+    ]
 
 
 def _check_rows(verification: Verification) -> list[dict[str, str]]:

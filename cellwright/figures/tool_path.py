@@ -50,7 +50,9 @@ def tool_path_picture(cell: Cell, way: FloatArray, stops: FloatArray) -> bytes:
     return png_bytes(figure)
 
 
-def orders_chart(costs: Mapping[str, float], parts: Sequence[tuple[str, float]], bound: float, unit: str) -> bytes:
+def orders_chart(
+    costs: Mapping[str, float], parts: Sequence[tuple[str, float]], bound: float, unit: str, what: str = "cost"
+) -> bytes:
     """Draw what the compared orders cost, the last of them in its parts, and the lower bound, as PNG bytes.
 
     Args:
@@ -58,6 +60,7 @@ def orders_chart(costs: Mapping[str, float], parts: Sequence[tuple[str, float]],
         parts: Name and cost of the parts of the last one.
         bound: No sequence costs less.
         unit: Unit of the costs.
+        what: What the costs are called.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -79,7 +82,7 @@ def orders_chart(costs: Mapping[str, float], parts: Sequence[tuple[str, float]],
                       va="center", fontsize=10)  # fmt: skip
     axes.axvline(bound, color=PATH, linewidth=1.3, label="lower bound")
     axes.set_yticks(range(len(names)), names)
-    axes.set_xlabel(f"cost, {unit}" if unit else "cost")
+    axes.set_xlabel(f"{what}, {unit}" if unit else what)
     axes.margins(x=0.12)
     axes.set_xlim(left=0.0)
     axes.spines[["top", "right"]].set_visible(False)
@@ -98,7 +101,7 @@ def parts_chart(bars: Sequence[tuple[str, Sequence[float]]], parts: Sequence[str
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(10, 1.3 + 0.5 * len(bars)), dpi=110, layout="constrained")
+    figure = Figure(figsize=(10, 1.6 + 0.5 * len(bars)), dpi=110, layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.add_subplot()
     left = np.zeros(len(bars))
@@ -116,5 +119,5 @@ def parts_chart(bars: Sequence[tuple[str, Sequence[float]]], parts: Sequence[str
     axes.margins(x=0.1)
     axes.set_xlim(left=0.0)
     axes.spines[["top", "right"]].set_visible(False)
-    axes.legend(loc="lower right", frameon=False, fontsize=9)
+    figure.legend(loc="outside lower center", ncols=len(parts), frameon=False, fontsize=9)
     return png_bytes(figure)

@@ -8,6 +8,7 @@ of a quarter.
 
 from __future__ import annotations
 
+import hashlib
 import itertools
 from dataclasses import dataclass, replace
 
@@ -55,7 +56,8 @@ class Connections:
     """All connections asked for so far, in both directions.
 
     Where the roadmap has no way, one through ``hub`` (joints,) is tried if that is given: what can be reached from
-    there and back is then connected with each other.
+    there and back is then connected with each other. With ``own_shortenings`` the random numbers that shorten a
+    connection are its own: drawn from one number of ``rng`` and its two ends, whatever was planned before it.
     """
 
     def __init__(
@@ -68,9 +70,11 @@ class Connections:
         rng: np.random.Generator,
         *,
         hub: FloatArray | None = None,
+        own_shortenings: bool = False,
     ) -> None:
         self._checker, self._roadmap, self._corners = checker, roadmap, corners
         self._limits, self._steps, self._rng, self._hub = limits, steps, rng, hub
+        self._shortening_seed = int(rng.integers(2**63)) if own_shortenings else None
         self._found: dict[tuple[bytes, bytes], Connection | None] = {}
         self._confirmed: set[tuple[bytes, bytes]] = set()
 
@@ -128,7 +132,8 @@ class Connections:
         sample = self._steps.sample
         if len(path) > 2:
             speed = self._limits.velocity
-            path = shorten(path, speed, self._checker, self._rng, step=step, n_attempts=self._steps.n_shortenings)
+            rng = self._shortening_rng(q_a, q_b)
+            path = shorten(path, speed, self._checker, rng, step=step, n_attempts=self._steps.n_shortenings)
         if len(path) == 2:
             return Connection(time_straight(q_a, q_b, self._limits, sample), "direct")
         try:
@@ -144,6 +149,12 @@ class Connections:
         for following in motions[1:]:
             motion = motion.then(following)
         return Connection(motion, "roadmap")
+
+    def _shortening_rng(self, q_a: FloatArray, q_b: FloatArray) -> np.random.Generator:
+        if self._shortening_seed is None:
+            return self._rng
+        ends = hashlib.sha256(q_a.tobytes() + q_b.tobytes()).digest()
+        return np.random.default_rng([self._shortening_seed, int.from_bytes(ends, "little")])
 
     def _through_hub(self, q_a: FloatArray, q_b: FloatArray, step: float) -> FloatArray | None:
         """Return a path that stops over at the hub, ``None`` if there is no hub or one end is not reached from it."""

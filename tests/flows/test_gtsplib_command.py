@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import io
 import json
+import time
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +14,7 @@ import pytest
 from cellwright.solvers.gtsp.gtsplib import format_gtsplib
 from cellwright.solvers.gtsp.problem import SequencingProblem
 from flows import command_line
+from flows.gtsplib_command import telling
 
 PUBLIC = Path(__file__).parents[3] / "shared" / "data" / "gtsp" / "39rat195.gtsp"
 
@@ -102,3 +105,27 @@ def test_the_problem_itself_is_not_overwritten(tmp_path: Path, capsys: pytest.Ca
     before = path.read_bytes()
     code, told = run(capsys, str(path), "--out", str(path))
     assert code == 2 and "is the GTSPLIB file itself" in told["error"] and path.read_bytes() == before
+
+
+def test_a_search_that_takes_long_says_now_and_then_that_it_lives() -> None:
+    said = io.StringIO()
+    with telling("a.gtsp", 60.0, said, first_word_s=0.01, next_word_s=0.02):
+        waited = time.monotonic()
+        while said.getvalue().count("\n") < 2 and time.monotonic() - waited < 10.0:
+            time.sleep(0.005)
+    told = said.getvalue().splitlines()
+    assert len(told) >= 2 and all(line == "a.gtsp: searching for 0 s of 60 s at most" for line in told)
+    quick = io.StringIO()
+    with telling("a.gtsp", None, quick):
+        pass
+    assert quick.getvalue() == ""
+
+
+def test_the_bound_of_a_problem_of_whole_numbers_is_whole(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    cost = np.random.default_rng(4).integers(1, 100, (120, 120)).astype(float)
+    problem = SequencingProblem(cost, tuple(np.arange(4 * k, 4 * k + 4) for k in range(30)))
+    path = tmp_path / "larger.gtsp"
+    path.write_text(format_gtsplib(problem))
+    code, told = run(capsys, str(path), "--time-limit", "0.6")
+    assert code == 0 and not told["proven"] and told["lower_bound"] > 0
+    assert told["lower_bound"] == int(told["lower_bound"]) <= told["cost"]

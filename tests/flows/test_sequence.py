@@ -164,3 +164,23 @@ def test_dynamics_of_a_file_reach_the_stages_that_need_them(tmp_path: Path) -> N
     optimal = sequence_request(load_sequence_file(cell, ["planner.cost=optimal_control"]))
     assert optimal.sequence.dynamics is not None and optimal.sequence.dynamics.effort == 1e-6
     assert optimal.verification.by_torque and optimal.verification.payload is not None
+    assert not optimal.sequence.keep_accelerations and not optimal.verification.keep_accelerations
+    both = sequence_request(
+        load_sequence_file(cell, ["planner.cost=optimal_control", "planner.keep_accelerations=true"])
+    )
+    assert both.sequence.keep_accelerations and both.verification.keep_accelerations
+
+
+def test_the_terminal_tells_what_the_cost_is_what_was_left_out_and_what_asks_for_too_much(
+    tmp_path: Path, lake: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = CELL.replace("  touches:", "  payload: {mass: 11 kg, centre: [0 mm, 0 mm, 150 mm]}\n  touches:")
+    text = text.replace("model: ur10e\n", "model: ur10e\n  max_acceleration: 60 rad/s^2\n")
+    cell = write_cell(tmp_path, text)
+    weights = "planner.dynamics={time: 1 /s}"
+    asked = [str(cell), "--lake", lake, "--direct", "--set", weights, "--set", "planner.cost=velocity"]
+    assert command_line.main(["sequence", *asked]) == 0
+    told = " ".join(capsys.readouterr().out.split())
+    assert "ordered by │ the slowest joint at full speed; not the cycle time" in told
+    assert "ordering cost: sequence" in told and "further ways of 4 tasks left out untried" in told
+    assert "Attention: the largest torque is" in told and "of its limit, since motions in time" in told

@@ -47,11 +47,11 @@ GOLDENS: dict[str, tuple[int, str]] = {
     "record_layout": (2, "e89dbffb98b4d5d5659c7abe11fbf0ac579953673ac8538c1b3a9e35cc9d7f7c"),
     "write_layout_report": (2, "4122cdda82a20fb5fa418688cad7b6a65fb1514597df1213f79a4704eb9cbb27"),
     "list_tasks": (2, "b0896b35e94f03abce0cf5974d1b227e76ac2aa031a9be98404024f724f6f94f"),
-    "generate_alternatives": (1, "62d0fc7ee0df0c4fe2c0516f2a7f4c688a7270bcad862d2669fd3b42bbe9760f"),
-    "sequence_tasks": (3, "0a180ff75a7bbefe8d7f961dcf8e45e22f5ddca6f347054a792c66a8b220f28f"),
-    "verify_sequence": (3, "e875e8323dc25c15d50a8d0d7146607a699fbd678093d5a78b8425a72d0c5882"),
+    "generate_alternatives": (2, "a4280896394f8b254424f9d34100d54d16a00fb34abb05d2c73230b7762c52e7"),
+    "sequence_tasks": (4, "5d89c51af580d0ba18a053feab24a5ae38a16a1c7d78572d7dfc2f8db30d259f"),
+    "verify_sequence": (3, "d6ef1b63eebc4cbe880bffa5ebfeee146751569f6937772da642b259b1d2d2aa"),
     "record_sequence": (1, "1b53252b5e9fffd9a9cba073901e9ab524ed582f8ae167ce28f85785e227ab99"),
-    "write_sequence_report": (3, "aaf824487eef26a4cf59309453c0a10fbd3b5a13835f9a03f231239a7e8e039c"),
+    "write_sequence_report": (4, "6c85538d18531fbf255f8354aa78738aba431d95e4c83ed3a8a6b463a0e356b5"),
 }
 """Version and digest of every stage, of the artefacts together where a stage is tried on several inputs."""
 

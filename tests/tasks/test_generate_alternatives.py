@@ -103,5 +103,5 @@ def test_without_contact_at_work_no_task_can_be_done():
 def test_the_result_is_the_one_of_this_version():
     found = small.alternatives()
     told = f"{found.task.tolist()} {found.branch.tolist()} {np.round(found.rotation_rad, 6).tolist()} "
-    told += f"{(np.round(found.entry_rad, 6) + 0.0).tolist()} {found.n_solutions.tolist()}"
+    told += f"{(np.round(found.entry_rad, 6) + 0.0).tolist()} {found.n_solutions.tolist()} {found.n_left_out.tolist()}"
     check_golden(generate_alternatives, told)

@@ -12,6 +12,7 @@ from schemas.artefact import digest
 from schemas.payload import PayloadParams
 from schemas.task_objects import runs_of, timed_plan
 from tasks.sequence_tasks import DynamicsParams, sequence_tasks
+from tasks.verify_sequence import SequenceVerifyParams, verify_sequence
 from tests import small_sequence as small
 from tests.tasks.goldens import check_golden
 
@@ -109,7 +110,7 @@ def test_a_single_task_without_motion_is_refused():
     alternatives = replace(
         ways, **{name: getattr(ways, name)[:own] for name in columns}, stroke_s=np.zeros(own),
         n_reached=ways.n_reached[:1], n_solutions=ways.n_solutions[:1], n_within_limits=ways.n_within_limits[:1],
-        n_blocked=ways.n_blocked[:1],
+        n_blocked=ways.n_blocked[:1], n_left_out=ways.n_left_out[:1],
     )  # fmt: skip
     params = small.request().sequence.model_copy(update={"from_start": False, "returns": False})
     with pytest.raises(InvalidInputError, match="asks for no motion: add a task"):
@@ -260,4 +261,23 @@ def test_the_tool_stays_as_long_as_it_has_to_however_densely_states_are_sampled(
 
 def test_sequences_in_time_are_not_priced_unless_dynamics_are_weighed():
     plan = small.sequence()
-    assert plan.weight_time == 0.0 and not plan.torque_squared_n2m2s.any() and plan.torque_share == 0.0
+    assert plan.weight_time == 0.0 and plan.torque_share == 0.0
+    for column in (plan.torque_squared_n2m2s, plan.speed_squared_rad2_s, plan.holding_n2m2s):
+        assert len(column) and np.isnan(column).all()
+
+
+def test_the_greatest_acceleration_is_told_and_kept_if_asked_for():
+    timed, (_, free) = small.sequence(), optimal()
+    assert timed.keeps_accelerations and not timed.keeps_torques and 0.5 < timed.acceleration_share < 1.01
+    assert free.keeps_torques and not free.keeps_accelerations and free.acceleration_share > 1.5
+    few, kept = dynamic(cost="optimal_control", max_motions=12, keep_accelerations=True)
+    assert kept.keeps_torques and kept.keeps_accelerations and kept.acceleration_share < 1.01
+    assert "optimal control" in kept.via and kept.cost > free.cost
+    params = SequenceVerifyParams(
+        touches=small.request().verification.touches, by_torque=True, keep_accelerations=True,
+        payload=PayloadParams(mass_kg=3.0),
+    )  # fmt: skip
+    checks = verify_sequence(small.cell(), small.task_list(), few, kept, params=params).check
+    assert {"joint torque", "joint acceleration of the curve"} <= set(checks)
+    with pytest.raises(InfeasibleError, match="acceleration"):
+        verify_sequence(small.cell(), small.task_list(), few, free, params=params)

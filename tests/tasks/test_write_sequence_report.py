@@ -5,9 +5,10 @@ import re
 from dataclasses import replace
 from functools import cache
 
+import numpy as np
 import pytest
 
-from schemas.sequence_summary import bound_words
+from schemas.sequence_summary import acceleration_words, alternatives_words, bound_words, cost_label, ordering_words
 from tasks.write_sequence_report import SequenceReportParams, write_sequence_report
 from tests import small_sequence as small
 from tests.tasks.goldens import check_golden
@@ -48,7 +49,7 @@ def test_a_likely_bound_is_told_beside_the_proven_one():
     figures = json.loads(told.summary)
     words = (
         "1303.62 proven (gap 23.6%, stopped by evaluations); 1646.00 (gap 3.6%) if no motion is cheaper than 0.87 of "
-        "its guess, as none of 342 was"
+        "its guess, as none was of the 342 that were planned, other orders included"
     )
     assert bound_words(figures) == words and words in told.page.decode()
     assert figures["likely_bound"] == 1646.0 and figures["least_ratio"] == 0.87 and figures["motions_guessed"] == 342
@@ -69,3 +70,61 @@ def test_the_result_is_the_one_of_this_version():
     kept = {name: told[name] for name in ("tasks", "sequence", "duration_s", "dwell_s", "cost_of", "unit")}
     text = re.sub(rb"base64,[^\"]*", b"", report().page).decode()
     check_golden(write_sequence_report, f"{kept} {re.sub(r'[0-9.,]+', '#', text)}")
+
+
+def told_of(**changes):
+    own = small.sequence()
+    asked = ("torque_squared_n2m2s", "speed_squared_rad2_s", "holding_n2m2s") if "weight_time" in changes else ()
+    found = replace(own, **{name: np.zeros(len(getattr(own, name))) for name in asked}, **changes)
+    told = write_sequence_report(
+        small.cell(), small.task_list(), small.alternatives(), found, small.verification(),
+        params=SequenceReportParams(),
+    )  # fmt: skip
+    return json.loads(told.summary), told.page.decode()
+
+
+def test_a_proof_is_said_to_hold_over_the_motions_found():
+    figures, page = told_of(proven=True)
+    assert (
+        "no other sequence over the motions found is cheaper" in bound_words(figures) and bound_words(figures) in page
+    )
+
+
+def test_torques_above_their_limits_are_told_where_nothing_keeps_them():
+    figures, page = told_of(weight_time=1.0, torque_share=1.537)
+    assert len(figures["attention"]) == 1 and "the largest torque is 153.7% of its limit" in figures["attention"][0]
+    assert '<div class="card attention">' in page and "153.7% of its limit" in page
+    for changes in ({"torque_share": 0.99}, {"torque_share": 1.0000001, "keeps_torques": True}):
+        figures, page = told_of(**changes)
+        assert figures["attention"] == [] and '<div class="card attention">' not in page
+
+
+def test_accelerations_above_their_limits_are_told_of_optimal_motions():
+    figures, page = told_of(weight_time=1.0, acceleration_share=26.2, keeps_accelerations=False, keeps_torques=True)
+    words = acceleration_words(figures)
+    assert words.startswith("26.2 times its stated limit") and words in page and figures["acceleration_share"] == 26.2
+    assert acceleration_words(told_of()[0]) == ""
+
+
+def test_a_cost_that_is_not_the_cycle_time_is_not_called_so():
+    figures, page = told_of(cost_name="velocity bound", cost=10.0)
+    assert cost_label(figures) == "ordering cost" and "<th>ordering cost</th>" in page
+    assert (
+        "slowest joint at full speed; not the cycle time" in ordering_words(figures) and ordering_words(figures) in page
+    )
+    figures, page = told_of(cost=10.0, keeps_torques=True)
+    assert ordering_words(figures).startswith("the time of motions planned in time; not the cycle time")
+    figures, page = told_of()
+    assert cost_label(figures) == "cost" and ordering_words(figures) == "" and "not the cycle time" not in page
+
+
+def test_ways_left_out_are_counted():
+    figures, page = json.loads(report().summary), report().page.decode()
+    left_out = small.alternatives().n_left_out
+    assert figures["alternatives_left_out"] == left_out.sum() > 0 and alternatives_words(figures) in page
+    assert f"{left_out.sum():,} further ways of {(left_out > 0).sum()} tasks left out" in alternatives_words(figures)
+
+
+def test_a_sequence_looked_for_by_optimal_control_is_not_said_to_be_looked_for_by_something_else():
+    assert "was not looked for by that" in told_of(weight_time=1.0)[1]
+    assert "was not looked for by that" not in told_of(weight_time=1.0, cost_name="optimal control", unit="")[1]

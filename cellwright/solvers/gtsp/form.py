@@ -121,6 +121,8 @@ def result_of(
         proof = "there is no sequence without" if bound >= form.missing else "no sequence was found without"
         raise InfeasibleError(f"{proof} a missing way; the best one lacks {listed(gone)}: add alternatives or ways")
     proven = bound >= form.below(cost)
+    if form.integral and np.isfinite(bound):  # no sequence costs a fraction
+        bound = float(math.ceil(bound - max(1e-6, EXACT * abs(bound))))
     return SequencingResult(
         nodes=np.asarray(nodes, np.int32),
         clusters=owner[nodes],

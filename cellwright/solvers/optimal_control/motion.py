@@ -15,9 +15,10 @@ import numpy as np
 from cellwright.arrays import FloatArray
 from cellwright.cell.symbolic_dynamics import SymbolicDynamics
 from cellwright.errors import InfeasibleError
+from cellwright.solvers.hermite import peak_acceleration
 from cellwright.solvers.motion_cost import CostedMotion, MotionCost
 from cellwright.solvers.motion_steps import MovingCorners
-from cellwright.solvers.optimal_control.checked_motion import CheckedMotion, checked_curve
+from cellwright.solvers.optimal_control.checked_motion import ROUNDING, CheckedMotion, checked_curve
 from cellwright.solvers.optimal_control.clearance_boxes import ClearanceScene
 from cellwright.solvers.optimal_control.collision_free import AvoidanceParams, avoid, is_free
 from cellwright.solvers.optimal_control.cost_bounds import holding_cost, least_cost
@@ -142,8 +143,11 @@ class OptimalControlCost:
         free = free_motion(program, q_a, q_b, start=self._neighbour(q_a, q_b))
         if free.converged:
             self._solved.append(free.discrete)
-            if obstacles is None or is_free(obstacles.scene, obstacles.corners, free.curve, obstacles.params):
-                return free.curve, "optimal control"
+            curve = self._within_accelerations(free.curve)
+            if not curve.fault and (
+                obstacles is None or is_free(obstacles.scene, obstacles.corners, curve, obstacles.params)
+            ):
+                return curve, "optimal control"
         if obstacles is None:
             return self._slow_straight(q_a, q_b)
         return self._around(obstacles, q_a, q_b)
@@ -160,8 +164,9 @@ class OptimalControlCost:
                 path.motion,
                 obstacles.params,
             )
-            if found.motion is not None:
-                return found.motion.curve, "optimal control"
+            curve = None if found.motion is None else self._within_accelerations(found.motion.curve)
+            if curve is not None and not curve.fault:
+                return curve, "optimal control"
         slow = self._slowed(path.motion)
         return None if slow is None else (slow, path.via)
 
@@ -175,10 +180,20 @@ class OptimalControlCost:
         slow = self._slowed(TimedMotion(start.time, start.q, start.node_velocity, np.zeros_like(start.q)))
         return None if slow is None else (slow, "direct")
 
+    def _within_accelerations(self, curve: CheckedMotion) -> CheckedMotion:
+        """Return a curve that keeps the program's acceleration limits, slowed where mending it has broken them."""
+        limits = self._program.max_acceleration
+        if limits is None:
+            return curve
+        motion = curve.motion
+        share = float((peak_acceleration(motion.time, motion.position, motion.velocity) / limits).max())
+        return curve if share <= 1.0 + ROUNDING else self.of_motion(motion.slowed(share**0.5))
+
     def _slowed(self, motion: TimedMotion) -> CheckedMotion | None:
         """Return a motion slowed until its torques suffice, None if they never do."""
         for _ in range(ENOUGH_SLOWINGS):
             curve = self.of_motion(motion)
+            curve = curve if curve.fault else self._within_accelerations(curve)
             if not curve.fault:
                 return curve
             motion = motion.slowed(SLOWER)

@@ -60,7 +60,10 @@ class Alternative:
 
 @dataclass
 class Tally:
-    """What became of a task's turns and solutions; ``blocked`` counts pairs of bodies that collide."""
+    """What became of a task's turns and solutions.
+
+    ``blocked`` counts pairs of bodies that collide, ``n_left_out`` ways that were not tried as enough were kept.
+    """
 
     n_rotations: int = 0
     n_reached: int = 0
@@ -68,6 +71,7 @@ class Tally:
     n_within_limits: int = 0
     n_broken: int = 0
     n_kept: int = 0
+    n_left_out: int = 0
     blocked: Counter[tuple[str, str]] = field(default_factory=Counter)
 
     def reason(self, task: PoseTask, clearance: float) -> str:
@@ -148,15 +152,28 @@ class _Ways:
         rotations = self.task.rotations()
         solutions = solver.solve(self.task.T_base_flange(self.cell, rotations))  # (rotations, branches, joints)
         kept: list[Alternative] = []
-        for _, turn, branch, q in self._candidates(solutions):
+        candidates = self._candidates(solutions)
+        for place, (_, turn, branch, q) in enumerate(candidates, 1):
             if any(float(np.abs(q - each.q_task).max()) < self.settings.same for each in kept):
                 continue
             alternative = self._tried(turn, branch, float(rotations[turn]), q)
             if alternative is not None:
                 kept.append(alternative)
             if len(kept) == self.settings.most:
+                self.tally.n_left_out = self._others(candidates[place:], kept)
                 break
         return kept
+
+    def _others(self, candidates: list[tuple[float, int, int, FloatArray]], kept: list[Alternative]) -> int:
+        """Return how many candidates are not known to collide, and are not among those kept."""
+        left = [q for _, turn, branch, q in candidates if self.free.get((turn, branch), True)]
+        if not left:
+            return 0
+        q = np.stack(left)
+        known = np.zeros(len(q), bool)
+        for each in kept:
+            known |= np.abs(q - each.q_task).max(axis=1) < self.settings.same
+        return int((~known).sum())
 
     def _candidates(self, solutions: FloatArray) -> list[tuple[float, int, int, FloatArray]]:
         """Return all ways within the joint limits, the nearest to the start first; ties go to the lower turn."""

@@ -28,6 +28,8 @@ from cellwright.solvers.pose_tasks.alternatives import Alternative
 from cellwright.solvers.pose_tasks.strokes import time_stroke, trace_stroke
 from cellwright.solvers.pose_tasks.task import PoseTask
 
+RESERVE, NO_RESERVE = (0.005, 0.0), (0.0, 0.0)
+"""Shares of speed and acceleration limits, and of torque limits, that programs leave unused."""
 LEAST_GAIN, MOST_ROUNDS = 0.01, 6
 """Share of its cost that a round among obstacles must save, and rounds at most: many motions are asked for here."""
 
@@ -41,12 +43,14 @@ class DynamicSettings:
         n_steps: N, the steps of a motion.
         check: Furthest that any point moves between two states of the dense check, m.
         sample: Time between states of a timed stroke, s.
+        keep_accelerations: Whether motions keep the joints' acceleration limits too.
     """
 
     weights: CostWeights
     n_steps: int = 20
     check: float = 1e-3
     sample: float = 0.008
+    keep_accelerations: bool = False
 
 
 def dynamics_of(cell: Cell, payload: Payload | None) -> SymbolicDynamics:
@@ -67,7 +71,10 @@ def optimal_control_cost(
     Raises:
         InvalidInputError: If a joint has no torque limit.
     """
-    program = MotionProgram(dynamics, settings.weights, n_steps=settings.n_steps)
+    limit, reserve = (cell.robot.chain.max_acceleration, RESERVE) if settings.keep_accelerations else (None, NO_RESERVE)
+    program = MotionProgram(
+        dynamics, settings.weights, n_steps=settings.n_steps, max_acceleration=limit, reserve=reserve
+    )
     params = AvoidanceParams(check_m=settings.check, check_rad=0.01, least_gain=LEAST_GAIN, most_rounds=MOST_ROUNDS)
     return OptimalControlCost(program, Obstacles(scene, MovingCorners.of(cell), paths, params))
 

@@ -50,7 +50,9 @@ class MotionTimes(PathCost):
         upper = np.minimum(chain.upper, ends.max(axis=0) + ROADMAP_MARGIN)
         self._roadmap = Roadmap(checker, lower, upper, limits.velocity, size=size, rng=roadmap_rng)
         corners = MovingCorners.of(cell)
-        connections = Connections(checker, self._roadmap, corners, limits, steps, shortening_rng, hub=self._hub)
+        connections = Connections(
+            checker, self._roadmap, corners, limits, steps, shortening_rng, hub=self._hub, own_shortenings=True
+        )
         super().__init__(connections, limits)
         self._cut_off: dict[bytes, bool] = {}
 

@@ -5,7 +5,7 @@ import io
 import numpy as np
 from matplotlib.image import imread
 
-from cellwright.figures.tool_path import orders_chart, tool_path_picture
+from cellwright.figures.tool_path import orders_chart, parts_chart, tool_path_picture
 from schemas.cell_objects import build_cell
 from tests import small_sequence as small
 
@@ -22,3 +22,12 @@ def test_the_way_of_the_tool_is_drawn_even_where_it_leaves_the_cell() -> None:
 def test_an_order_without_a_way_is_said_and_not_drawn() -> None:
     chart = orders_chart({"as listed": np.inf, "sequence": 3.0}, [("motions", 2.0), ("strokes", 1.0)], 2.5, "s")
     assert imread(io.BytesIO(chart)).shape[0] > 100
+
+
+def test_the_legend_of_parts_lies_below_the_bars() -> None:
+    bars = [("short", (1.0, 1.0, 1.0)), ("long", (100.0, 90.0, 80.0))]
+    picture = imread(io.BytesIO(parts_chart(bars, ("motions", "strokes", "holding"), "Parts")))[..., :3]
+    waiting = np.array([0xE0, 0xA3, 0x3A]) / 255
+    rows = np.flatnonzero((np.abs(picture - waiting) < 0.02).all(axis=2).sum(axis=1) > 10)
+    long_bar, *_, legend = np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1)
+    assert len(legend) < 0.5 * len(long_bar) and legend.min() > long_bar.max() + len(long_bar) / 2

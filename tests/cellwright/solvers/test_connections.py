@@ -25,12 +25,12 @@ CHAIN = Chain(
 CORNERS = MovingCorners(CHAIN, np.array([1.0, 2.0]), np.array([[1.0, 0, 0], [1.0, 0, 0]]))
 
 
-def connections(world, step=0.1):
+def connections(world, step=0.1, **settings):
     roadmap = Roadmap(
         world, CHAIN.lower, CHAIN.upper, LIMITS.velocity, size=RoadmapSize(200, 100, 600), rng=np.random.default_rng(0)
     )  # fmt: skip
     steps = ConnectionSteps(search=step, sample=0.02, confirm=0.01, confirm_angle=0.05)
-    return Connections(world, roadmap, CORNERS, LIMITS, steps, np.random.default_rng(1))
+    return Connections(world, roadmap, CORNERS, LIMITS, steps, np.random.default_rng(1), **settings)
 
 
 Q_A, Q_B = np.array([-1.5, 0.2]), np.array([1.5, -0.2])
@@ -83,3 +83,16 @@ def test_where_there_is_no_way_the_duration_is_infinite():
     inside, outside = np.array([0.0, 0.0]), np.array([2.0, 0.0])
     assert planner.between(inside, outside) is None
     assert planner.duration(outside, inside) == np.inf
+
+
+def test_a_connection_is_shortened_alike_whatever_was_planned_before_it():
+    world, turn = PlanarArm([(1.6, 0.0, 0.3)]), np.array([0.1, 0.1])
+
+    def after(others, **settings):
+        planner = connections(world, step=0.03, **settings)
+        for shift in range(1, others + 1):
+            assert planner.between(Q_A - 0.5 * shift * turn, Q_B + 0.5 * shift * turn).via == "roadmap"
+        return planner.between(Q_B, Q_A).motion.duration
+
+    assert after(0, own_shortenings=True) == after(3, own_shortenings=True)
+    assert after(0) != after(3)  # they share random numbers
