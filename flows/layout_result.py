@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -38,11 +39,19 @@ class LayoutResult(RunResult):
             ("starts that passed", f"{figures['starts_passed']} of {figures['starts']}"),
             ("of them the median, the worst", f"{figures['median_cycle_s']:.3f} s, {figures['worst_cycle_s']:.3f} s"),
             ("solver", figures["method"].replace("_", " ")),
+            (
+                "joint limits kept",
+                "speed and acceleration"
+                if figures["accelerations_limited"]
+                else "speed alone; acceleration too: solver.method second_order",
+            ),
         ]
         if self.cpu_s is not None:
             rows.append(("processor time", f"{self.cpu_s:.2f} s"))
         for name, T in figures["T_world_body"].items():
-            rows.append((name, f"x {1e3 * T[0][3]:.0f}, y {1e3 * T[1][3]:.0f}, z {1e3 * T[2][3]:.0f} mm"))
+            turn = math.degrees(math.atan2(T[1][0], T[0][0]))
+            place = f"x {1e3 * T[0][3]:.0f}, y {1e3 * T[1][3]:.0f}, z {1e3 * T[2][3]:.0f} mm"
+            rows.append((name, f"{place}, turned {turn:.1f} deg about z"))
         return rows
 
     def pictures(self) -> dict[str, bytes]:

@@ -35,6 +35,7 @@ def summary_of(layout: Layout) -> dict[str, Any]:
     passed = layout.trial_cycle_s[layout.trial_converged]
     return {
         "method": layout.method,
+        "accelerations_limited": limits_accelerations(layout),
         "converged": layout.converged,
         "blocking": layout.blocking,
         "cycle_s": layout.cycle_s,
@@ -60,6 +61,11 @@ def summary_of(layout: Layout) -> dict[str, Any]:
     }
 
 
+def limits_accelerations(layout: Layout) -> bool:
+    """Return whether the motions keep acceleration limits; those of the other solvers keep speed limits alone."""
+    return layout.method == "second_order"
+
+
 def refusal_of(layout: Layout, *, sought: bool) -> str:
     """Say why a layout that has not converged is no result: what blocks, and the smallest relaxation found.
 
@@ -79,7 +85,7 @@ def refusal_of(layout: Layout, *, sought: bool) -> str:
             f"seed may find a way{', and so may slower approaches' if layout.approach_s > 0.0 else ''}"
         )
     reliefs = listed(
-        f"{what} (relax it by {excess:.4g} {unit})"
+        f"{what} (relax it by {_amount(excess, unit)})"
         for what, excess, unit in zip(layout.requirement, layout.excess.tolist(), layout.excess_unit)
     )
     mend = "move or free what is named, or widen its limits"
@@ -88,7 +94,10 @@ def refusal_of(layout: Layout, *, sought: bool) -> str:
             "; spheres of the robot's own links overlap, and few of them are much larger than what they hold: "
             "cover it with more (robot.hull.spheres)"
         )
-    return (
-        f"no layout was found: {tried}; the smallest relaxation found that makes it feasible is "
-        f"{float(layout.excess.sum()):.4g} in all: {reliefs}: {mend}"
-    )
+    return f"no layout was found: {tried}; the smallest relaxation found that makes it feasible: {reliefs}: {mend}"
+
+
+def _amount(excess: float, unit: str) -> str:
+    if unit == "m":
+        return f"{1e3 * excess:.4g} mm"
+    return f"{math.degrees(excess):.4g} deg" if unit == "rad" else f"{excess:.4g} {unit}"

@@ -21,7 +21,7 @@ from cellwright.errors import InfeasibleError
 from schemas.layout import Layout, LayoutReport, RobotHull
 from schemas.layout_objects import build_problem, drawn, drawn_before
 from schemas.layout_params import LayoutProblemParams
-from schemas.layout_summary import summary_of
+from schemas.layout_summary import limits_accelerations, summary_of
 from schemas.params import Params
 from schemas.sources import SourceFile
 from schemas.sphere_hull import SphereHull
@@ -45,7 +45,7 @@ def template_digest() -> str:
     return hashlib.sha256(f"{_template()}\n{json.dumps(drawn_by, sort_keys=True)}".encode()).hexdigest()
 
 
-@stage(version=2)
+@stage(version=3)
 def write_layout_report(
     urdf: SourceFile | None,
     robot: RobotHull | None,
@@ -83,6 +83,7 @@ def write_layout_report(
         zip=zip,
         title=params.title,
         layout=layout,
+        accelerated=limits_accelerations(layout),
         tiles=_tiles(layout),
         design=_design_rows(layout),
         places=_place_rows(layout),
@@ -154,7 +155,13 @@ def _place_rows(layout: Layout) -> list[dict[str, str]]:
 
 def _gate_rows(layout: Layout) -> list[dict[str, str]]:
     return [
-        {"check": check, "found": f"{found:.3g}", "permitted": f"{permitted:.6g}", "unit": unit}
+        {
+            "check": check,
+            "found": f"{found:.3g}",
+            "permitted": f"{permitted:.4g}",
+            "unit": unit,
+            "verdict": "passed" if limits_accelerations(layout) or "acceleration" not in check else "not asked for",
+        }
         for check, found, permitted, unit in zip(
             layout.check, layout.found.tolist(), layout.permitted.tolist(), layout.unit
         )

@@ -80,13 +80,13 @@ def test_links_and_bodies_get_certified_hulls(tmp_path: Path, lake: str) -> None
         (
             {"stations": [table("blue"), table("red", **FAR)]},
             3,
-            ["none of 2 starts passed its gate", "red is out of reach (relax it by 0.3", "move or free what is named"],
+            ["none of 2 starts passed its gate", "red is out of reach (relax it by 3", "move or free what is named"],
         ),
         (
             {"walls": [{"name": "east", "normal": [-1, 0, 0], "offset": "-0.5 m"}],
              "stations": [table("blue"), table("red", harness=None, pose={"position": ["0.9 m", "0 m", "0 m"]})]},
             3,
-            ["east and red overlap (relax it by 0.6"],
+            ["east and red overlap (relax it by 6"],
         ),
         (
             # the harness keeps both in front of the robot, the wall behind it

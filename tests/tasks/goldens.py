@@ -45,7 +45,7 @@ GOLDENS: dict[str, tuple[int, str]] = {
     "cover_bodies": (2, "807ba37c31f386b87494d5eb9b06211ae3db072f3b12ae5f762c76ec082a7707"),
     "optimise_layout": (3, "11b7f44eb0efda01429b65ffd80b52c4483cf3f6d30fb0b55c90fa284fa2be93"),
     "record_layout": (2, "e89dbffb98b4d5d5659c7abe11fbf0ac579953673ac8538c1b3a9e35cc9d7f7c"),
-    "write_layout_report": (2, "4122cdda82a20fb5fa418688cad7b6a65fb1514597df1213f79a4704eb9cbb27"),
+    "write_layout_report": (3, "19c69dbb0bc83b2f767db062de94cb2852a7912045b4d2abc204d9c495e5e0a5"),
     "list_tasks": (2, "b0896b35e94f03abce0cf5974d1b227e76ac2aa031a9be98404024f724f6f94f"),
     "generate_alternatives": (2, "a4280896394f8b254424f9d34100d54d16a00fb34abb05d2c73230b7762c52e7"),
     "sequence_tasks": (4, "5d89c51af580d0ba18a053feab24a5ae38a16a1c7d78572d7dfc2f8db30d259f"),
