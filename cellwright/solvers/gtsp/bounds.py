@@ -8,7 +8,7 @@ shrinks while the bound rises: the dear last stages work on a small rest.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -43,6 +43,8 @@ class Bounding:
         multiplier: Price of each cluster at the best bound.
         memory: Neighbours that each cluster remembers, in the order of their bits.
         bound: Best bound so far.
+        walk: Cluster at each place of the cheapest walk at the best bound, (places,).
+        n_rounds: Times that memories have grown.
         tour: Tour of the form that the relaxation itself has found, if it has; then it is a cheapest one.
         work: Sums and comparisons so far.
     """
@@ -57,6 +59,8 @@ class Bounding:
     multiplier: FloatArray
     memory: list[list[int]]
     bound: float = -np.inf
+    walk: Int32Array = field(default_factory=lambda: np.zeros(0, np.int32))
+    n_rounds: int = 0
     tour: Int32Array | None = None
     work: float = 0.0
 
@@ -152,32 +156,40 @@ class Walks:
 
 
 def raise_bound(
-    problem: Bounding, upper: float, ceiling: float, n_steps: int, stop: Stop | None = None, *, patience: int = 6
-) -> Int32Array:
-    """Take subgradient steps; keep the best prices and bound; return the walk there.
+    problem: Bounding,
+    upper: float,
+    ceiling: float,
+    n_steps: int,
+    stop: Stop | None = None,
+    *,
+    length: float = 1.0,
+    patience: int = 6,
+) -> None:
+    """Take subgradient steps; keep the best prices, the bound and the walk there.
 
     Args:
-        problem: Edited: multiplier, bound, tour, work.
+        problem: Edited: multiplier, bound, walk, tour, work.
         upper: Cost of a known sequence, which scales the steps.
         ceiling: A bound this high proves that sequence.
         n_steps: Steps at most.
         stop: Asked before each step.
+        length: Share of the gap that the first step would close if the bound were linear.
         patience: Steps without a better bound after which they get shorter.
     """
     walks = Walks(problem)
     multiplier = problem.multiplier.copy()
-    length, since, best_walk = 1.0, 0, np.empty(0, np.int32)
+    since = 0
     direction = np.zeros(problem.n_clusters)
-    best = -np.inf  # of these memories: the bound may have been higher before by rounding only
+    best = -np.inf  # of walks alone: dynamic programming may have brought the bound higher than they reach
     for number in range(n_steps):
         if number and stop is not None and stop():
             break
         bound, walk = walks.solve(multiplier)
         if bound > best:
             gained = bound - best > 1e-4 * max(upper - bound, 0.0)
-            best, best_walk, since = bound, walk, 0 if gained else since + 1
-            if bound >= problem.bound:
-                problem.bound, problem.multiplier = bound, multiplier.copy()
+            best, since = bound, 0 if gained else since + 1
+            problem.multiplier, problem.walk = multiplier.copy(), walks.owner[walk]
+            problem.bound = max(problem.bound, bound)
         else:
             since += 1
         if problem.bound >= ceiling or not np.isfinite(bound):
@@ -194,19 +206,37 @@ def raise_bound(
             continue
         direction = lacking + 0.6 * direction
         multiplier = multiplier + length * max(upper - bound, 1e-9 * upper) / float(direction @ direction) * direction
-    return best_walk
 
 
 def remember_nearest(problem: Bounding, n_bits: int) -> None:
-    """Make each cluster remember the ``n_bits`` to which it is cheapest to go and come back: short cycles go there."""
-    n = problem.n_clusters
+    """Let each cluster remember the ``n_bits`` to which it is cheapest to go and come back: short cycles go there."""
     apart = np.minimum.reduceat(problem.cost, problem.first[:-1], axis=0)
     apart = np.minimum.reduceat(apart, problem.first[:-1], axis=1)
     there_and_back = apart + apart.T
     np.fill_diagonal(there_and_back, np.inf)
-    room = min(n_bits, n - 1, int(np.log2(max(1.0, MOST_BYTES / (8.0 * (n + 1) * len(problem.node))))))
-    ranked = np.argsort(there_and_back, axis=1, kind="stable")[:, :room]
-    problem.memory = [[int(j) for j in row if np.isfinite(there_and_back[i, j])] for i, row in enumerate(ranked)]
+    ranked = np.argsort(there_and_back, axis=1, kind="stable")
+    for i, memory in enumerate(problem.memory):
+        near = (int(j) for j in ranked[i] if np.isfinite(there_and_back[i, j]))
+        memory += [j for j in near if j not in memory][: max(0, n_bits - len(memory))]
+
+
+def remember_cycles(problem: Bounding, n_bits: int) -> bool:
+    """Let clusters remember what the best walk comes back to across them, ``n_bits`` each at most; tell if any can.
+
+    Such a walk is impossible then, and the bound can rise (Roberti and Mingozzi 2014, dynamic ng-path relaxation).
+    """
+    room = min(n_bits, int(np.log2(max(1.0, MOST_BYTES / (8.0 * (problem.n_clusters + 1) * len(problem.node))))))
+    last: dict[int, int] = {}
+    order = problem.walk.tolist()
+    learnt = False
+    for place, cluster in enumerate(order):
+        for between in order[last.get(cluster, place) + 1 : place]:
+            memory = problem.memory[between]
+            if between != cluster and cluster not in memory and len(memory) < room:
+                memory.append(cluster)
+                learnt = True
+        last[cluster] = place
+    return learnt
 
 
 def shrink(problem: Bounding, ceiling: float) -> bool:

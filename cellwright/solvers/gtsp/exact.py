@@ -19,6 +19,7 @@ from cellwright.solvers.gtsp.bounds import (
     Walks,
     bounding,
     raise_bound,
+    remember_cycles,
     remember_nearest,
     shrink,
     subset_needs,
@@ -32,9 +33,16 @@ from cellwright.threads import map_slices
 
 MOST_CLUSTERS = 62
 """Clusters that a set of bits can hold."""
-STAGES = ((0, 80, 0), (2, 40, 0), (4, 30, 5_000), (6, 20, 30_000), (8, 15, 400_000), (10, 10, 3_000_000),
-          (12, 10, 1 << 40))  # fmt: skip
-"""Neighbours remembered, subgradient steps, states a layer at most: each stage only if the one before is not enough."""
+STAGES = ((0, 0, 1, 80, 0), (2, 2, 1, 40, 0), (4, 4, 1, 30, 5_000), (4, 6, 4, 8, 30_000), (4, 8, 5, 6, 150_000),
+          (4, 9, 5, 6, 600_000), (4, 10, 6, 6, 3_000_000), (4, 12, 6, 5, 1 << 40))  # fmt: skip
+"""Nearest clusters that each remembers, all that it remembers at most, times that memories grow by cycles of the
+cheapest walk, subgradient steps each time, states a layer: each stage only if the one before is not enough."""
+AGAIN = 0.5
+"""Share of the gap that must be left at most, after a better tour, for the same stage to be worth another run."""
+STEP_LENGTHS = (0.5, 0.9, 0.03)
+"""Length of the steps after memories have grown, what it shrinks by each time, and the least."""
+PATIENCE = 4
+"""Steps without a better bound after which they get shorter, once memories have begun to grow."""
 AT_ONCE = 2
 """Depot nodes that are worked on at once, always: with another number of threads the same happens."""
 JOINT_STAGES = 3
@@ -184,11 +192,23 @@ def _stage_of(
 
 def _tighten(form: TourForm, problem: Bounding, depot: int | None, proof: Proof, stage: int, limits: _Limits) -> bool:
     """Go through one stage of bounding and dynamic programming; return whether the problem is still open."""
-    n_bits, n_steps, most = STAGES[stage]
-    remember_nearest(problem, n_bits)
-    dear = float(problem.n_clusters) * len(problem.node) ** 2 * problem.n_masks
-    n_steps = max(1, min(n_steps, int((limits.work - proof.work) / dear)))
-    raise_bound(problem, proof.cost, form.below(proof.cost), n_steps, limits.stop)
+    n_nearest, n_bits, n_rounds, n_steps, most = STAGES[stage]
+    remember_nearest(problem, n_nearest)
+    for number in range(n_rounds):
+        learnt = remember_cycles(problem, n_bits)
+        if number and not learnt:
+            break
+        first, factor, least = STEP_LENGTHS
+        length = 1.0 if stage == 0 else max(least, first * factor**problem.n_rounds)
+        problem.n_rounds += stage > 0
+        dear = float(problem.n_clusters) * len(problem.node) ** 2 * problem.n_masks
+        few = max(1, min(n_steps, int((limits.work - proof.work) / dear)))
+        raise_bound(
+            problem, proof.cost, form.below(proof.cost), few, limits.stop, length=length,
+            patience=PATIENCE if stage else 6,
+        )  # fmt: skip
+        if problem.bound >= form.below(proof.cost) or problem.tour is not None or limits.over():
+            break
     if depot is not None:
         _take_tour(form, problem, depot, proof)
     problem.tour = None
@@ -210,6 +230,8 @@ def _tighten(form: TourForm, problem: Bounding, depot: int | None, proof: Proof,
             return False
         if proof.cost == cost or not shrink(problem, form.below(proof.cost)):
             return problem.bound < form.below(proof.cost)
+        if proof.cost - problem.bound > AGAIN * (cost - problem.bound):
+            return True
 
 
 def _take_tour(form: TourForm, problem: Bounding, depot: int, proof: Proof) -> None:

@@ -63,16 +63,18 @@ def complete_walks(
         if usable[n, v]:
             rest[n, 0, v] = end[v]
     merged = np.empty((n_masks, m))
-    touched = np.empty(n_masks, np.bool_)
-    alive = np.empty((n, n_masks), np.bool_)
+    touched = np.zeros(n_masks, np.bool_)
+    reached = np.empty(n_masks, np.int32)
+    alive, n_alive = np.empty((n, n_masks), np.int32), np.empty(n, np.int64)
     for place in range(n - 1, 0, -1):
         there, here = rest[place + 1], rest[place]
         for j in range(n):
+            n_alive[j] = 0
             for mask in range(n_masks):
-                alive[j, mask] = False
                 for w in range(first[j], first[j + 1]):
                     if there[mask, w] < np.inf:
-                        alive[j, mask] = True
+                        alive[j, n_alive[j]] = mask
+                        n_alive[j] += 1
                         break
         for i in range(n):
             f, last = first[i], first[i + 1]
@@ -85,28 +87,30 @@ def complete_walks(
                 if i == j or not follows[i, j]:
                     continue
                 g, end_ = first[j], first[j + 1]
-                touched[:] = False
-                for mask in range(n_masks):
-                    if not alive[j, mask]:
-                        continue
+                n_reached = 0
+                for k in range(n_alive[j]):
+                    mask = alive[j, k]
                     to = step[i, j, mask]
                     if to < 0:
                         continue
                     if not touched[to]:
                         touched[to] = True
+                        reached[n_reached] = to
+                        n_reached += 1
                         for w in range(g, end_):
                             merged[to, w] = there[mask, w]
                     else:
                         for w in range(g, end_):
                             merged[to, w] = min(merged[to, w], there[mask, w])
-                for to in range(n_masks):
-                    if touched[to]:
-                        for w in range(g, end_):
-                            have = merged[to, w] - multiplier[j]
-                            if have < np.inf:
-                                for v in range(f, last):
-                                    total = onto[w, v] + have
-                                    here[to, v] = total if total < here[to, v] else here[to, v]
+                for k in range(n_reached):
+                    to = reached[k]
+                    touched[to] = False
+                    for w in range(g, end_):
+                        have = merged[to, w] - multiplier[j]
+                        if have < np.inf:
+                            for v in range(f, last):
+                                total = onto[w, v] + have
+                                here[to, v] = total if total < here[to, v] else here[to, v]
             for v in range(f, last):
                 if not usable[place, v]:
                     for mask in range(n_masks):
