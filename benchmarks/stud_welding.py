@@ -32,7 +32,7 @@ def main() -> None:
     request = sequence_request(load_sequence_file(find_cell_file("stud_welding")))
     dynamics = request.sequence.dynamics
     if dynamics is None or dynamics.payload is None:
-        raise SystemExit("the station weighs no dynamics")
+        raise SystemExit("the station has no planner.weights or no tool.payload")
     files = tuple(tasks.read_source(params=source) for source in request.cell_files)
     cell = tasks.assemble_cell(files, params=request.cell)
     listed = tasks.list_tasks(None, params=request.tasks)

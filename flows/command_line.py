@@ -91,7 +91,7 @@ def parser() -> argparse.ArgumentParser:
     _add_sweep(commands)
     _add_lake(commands)
     _add_server(commands)
-    examples = commands.add_parser("examples", help="list the built-in examples")
+    examples = commands.add_parser("examples", help="list the built-in examples, each with the command that takes it")
     examples.add_argument("--json", action="store_true", help="print JSON")
     examples.set_defaults(run=_examples)
     return whole
@@ -293,13 +293,15 @@ def _server(options: argparse.Namespace) -> int:
 
 
 def _examples(options: argparse.Namespace) -> int:
-    from flows.examples import examples
+    from flows.examples import commands, examples
 
+    taken, files = commands(), examples()
     if options.json:
-        write_json({name: str(path) for name, path in examples().items()})
+        write_json({name: {"command": taken[name], "file": str(path)} for name, path in files.items()})
     else:
-        for name, path in examples().items():
-            sys.stdout.write(f"{name}  {path}\n")
+        width = max((len(f"{command} {name}") for name, command in taken.items()), default=0)
+        for name, path in files.items():
+            sys.stdout.write(f"cellwright {f'{taken[name]} {name}':{width}}  {path}\n")
     return 0
 
 

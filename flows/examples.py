@@ -8,6 +8,9 @@ from pathlib import Path
 import cellwright
 from cellwright.errors import InvalidInputError, listed
 
+COMMANDS = {"cell": "inspect", "layout": "layout", "sequence": "sequence"}
+"""The command by the kind of file that it takes."""
+
 
 def examples_folder() -> Path:
     """Return the folder of the built-in examples: inside the installed package, else beside it in the checkout."""
@@ -21,8 +24,15 @@ def examples() -> dict[str, Path]:
     return {path.stem: path for path in sorted(examples_folder().glob("*.yaml"))}
 
 
+def commands() -> dict[str, str]:
+    """Return the command that takes each built-in example, by the example's name."""
+    from flows.file_summary import kind_of
+
+    return {name: COMMANDS[kind_of(path)] for name, path in examples().items()}
+
+
 def find_cell_file(text: str) -> Path:
-    """Return the cell file that a person means: a path, else the name of a built-in example.
+    """Return the file that a person means: a path, else the name of a built-in example.
 
     Raises:
         InvalidInputError: If there is neither.
@@ -35,5 +45,15 @@ def find_cell_file(text: str) -> Path:
     if name in known and (text in (name, f"{name}.yaml", f"examples/{name}.yaml")):
         return known[name]
     near = difflib.get_close_matches(name, known, n=1)
-    hint = f"did you mean the example {near[0]!r}?" if near else f"the built-in examples are {listed(known)}"
+    hint = f"did you mean the example {near[0]!r}?" if near else f"the built-in examples are {_offered()}"
     raise InvalidInputError(f"there is no cell file {text}: {hint}")
+
+
+def _offered() -> str:
+    """Return all examples, each with the command that takes it."""
+    taken = commands()
+    return "; ".join(
+        f"{listed([name for name in taken if taken[name] == command], 12)} ({command})"
+        for command in COMMANDS.values()
+        if command in taken.values()
+    )

@@ -89,7 +89,8 @@ def checked_sequence(path: Path, overrides: Sequence[str], picture: Path | None)
         tasks.assemble_cell(sources, params=request.cell)
     except CellwrightError as error:
         raise in_words_of_the_file(error) from error
-    return FileSummary("sequence", file, tuple(_sequence_lines(file, len(listed.name))), picture)
+    notes = (("note", note) for note in request.notes)
+    return FileSummary("sequence", file, (*_sequence_lines(file, len(listed.name)), *notes), picture)
 
 
 def _sequence_lines(file: SequenceFile, n_tasks: int) -> Iterator[tuple[str, str]]:

@@ -25,7 +25,7 @@ from flows.inspection_result import InspectionResult
 from flows.placed_plan import PlacedPlan, Prepared, candidates_of, prepare, scanned, stand, verified
 from flows.placement_rounds import Hulls, better_placement, cover_with_spheres
 from flows.requests import InspectionRequest, request_from
-from flows.result_folder import prepare_folder
+from flows.result_folder import prepared
 from flows.runner import Step, Steps, watched
 from flows.selection_rounds import Choice, close_gaps, connect_sweeps
 from flows.sequenced_plan import sequenced_plan
@@ -95,12 +95,10 @@ def run(
     # once: it may be edited while the run goes on
     cell = load_cell_file(cell_file, overrides) if isinstance(cell_file, Path) else cell_file
     request = request_from(cell)
-    if out is not None:
-        prepare_folder(out)
     found: list[Findings] = []
     finding = FINDINGS.set(found)
     try:
-        with watched(watcher):
+        with prepared(out), watched(watcher):
             if direct:
                 result = plan_and_record(request, lake, refresh, run_id=uuid.uuid4().hex, direct=True, found=found)
             else:

@@ -281,9 +281,11 @@ def _row(lake: Lake, manifest: Manifest) -> dict[str, Any]:
 
 
 def _columns(artefact: Artefact) -> Iterator[dict[str, Any]]:
-    from schemas.artefact import columns
+    from schemas.artefact import held
 
-    for name, spec in columns(type(artefact)).items():
+    for name, spec in held(artefact).items():
+        if spec.role != "column":
+            continue
         values = getattr(artefact, name)
         width = "" if spec.width is None else f"[{values.shape[1]}]"
         yield {

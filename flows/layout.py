@@ -19,7 +19,7 @@ from flows.caches import use_own_caches
 from flows.execution import Watcher, open_lake
 from flows.layout_requests import LayoutRequest, layout_request
 from flows.layout_result import LayoutResult
-from flows.result_folder import prepare_folder, write_files
+from flows.result_folder import prepared, write_files
 from flows.run_result import RUN_MARK, computing_seconds, gathered
 from flows.runner import Step, Steps, watched
 from schemas.layout_file import LayoutFile, load_layout_file
@@ -58,9 +58,7 @@ def run(
     """
     use_own_caches()
     file = load_layout_file(layout_file, overrides) if isinstance(layout_file, Path) else layout_file
-    if out is not None:
-        prepare_folder(out)
-    with _naming(file.path), watched(watcher):
+    with prepared(out), _naming(file.path), watched(watcher):
         request = layout_request(file)
         if direct:
             result = optimise_and_report(request, lake, refresh, uuid.uuid4().hex, direct=True, attempt=attempt)

@@ -94,6 +94,9 @@ class InspectionRequest(BaseModel):
     sequencing: SweepSequenceParams | None = Field(
         default=None, description="By which cost the sweeps are sequenced; as stitched if left out."
     )
+    payload_note: str = Field(
+        default="", description="What the person should know of a payload if the robot turns out to have no dynamics."
+    )
     taken_sequence: TakenSequenceParams = TakenSequenceParams()
     verification: VerifyParams
     scan: ScanParams
@@ -203,6 +206,7 @@ def _request(file: CellFile) -> InspectionRequest:
         stitching=stitching,
         placement=_placement(file, sweeps, stitching),
         sequencing=_sequencing(file, stitching),
+        payload_note=_payload_note(file),
         part_hull=None if file.layout is None else _hull(file, planner.hulls.part_spheres),
         cell_hull=None
         if file.layout is None
@@ -297,6 +301,18 @@ def _sequencing(file: CellFile, stitching: StitchParams) -> SweepSequenceParams 
         max_motions=section.max_motions,
         target_gap=section.target_gap,
         stitching=stitching,
+    )
+
+
+def _payload_note(file: CellFile) -> str:
+    """Say that a payload changes nothing where only time counts and no torque can be compared."""
+    section = file.sequencing
+    if section is None or section.cost != "time" or "payload" not in section.model_fields_set:
+        return ""
+    return (
+        f"{file.path}, sequencing.payload: {section.payload.mass_kg:g} kg change nothing, for sequencing.cost is time "
+        "and the robot has no dynamics: state masses (<inertial>) and torque limits (<limit effort=...>) in its URDF "
+        "to have torques compared, or leave the payload out"
     )
 
 

@@ -11,7 +11,7 @@ import contextlib
 import os
 import platform
 import re
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from pathlib import Path
 
 from cellwright.errors import InvalidInputError
@@ -36,6 +36,27 @@ def prepare_folder(folder: Path) -> None:
     except OSError as error:
         raise _refusal(folder, error) from error
     _remove(left)
+
+
+@contextlib.contextmanager
+def prepared(folder: Path | None) -> Iterator[None]:
+    """Prepare a folder if there is to be one; where what follows fails and leaves it empty, it goes again.
+
+    Raises:
+        InvalidInputError: If files cannot be written into it.
+    """
+    if folder is None:
+        yield
+        return
+    made = [path for path in (folder, *folder.parents) if not os.path.exists(path)]  # noqa: PTH110  # no error where it may not be looked at
+    prepare_folder(folder)
+    try:
+        yield
+    except BaseException:  # an interrupt too
+        with contextlib.suppress(OSError):  # it holds something
+            for path in made:
+                path.rmdir()
+        raise
 
 
 def write_files(

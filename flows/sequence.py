@@ -16,7 +16,7 @@ import tasks
 from cellwright.errors import CellwrightError
 from flows.caches import use_own_caches
 from flows.execution import Watcher, open_lake
-from flows.result_folder import prepare_folder, write_files
+from flows.result_folder import prepared, write_files
 from flows.run_result import RUN_MARK
 from flows.runner import Step, Steps, watched
 from flows.sequence_requests import SequenceRequest, sequence_request
@@ -73,10 +73,8 @@ def run(
     use_own_caches()
     file = load_sequence_file(sequence_file, overrides) if isinstance(sequence_file, Path) else sequence_file
     request = sequence_request(file)
-    if out is not None:
-        prepare_folder(out)
     try:
-        with watched(watcher):
+        with prepared(out), watched(watcher):
             if direct:
                 result = sequence_and_record(request, lake, refresh, run_id=uuid.uuid4().hex, direct=True)
             else:
@@ -117,6 +115,8 @@ def sequence_and_record(
 
 def plan_sequence(step: Steps, request: SequenceRequest) -> dict[str, Step]:
     """Chain the stages of a sequence; returns the steps by the name of what they make."""
+    for note in request.notes:
+        step.note(note)
     files = tuple(step(tasks.read_source, source, label=source.name) for source in request.cell_files)
     table = None if request.table is None else step(tasks.read_source, request.table, label="tasks")
     cell = step(tasks.assemble_cell, request.cell, files=files)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -11,7 +12,7 @@ from cellwright.errors import InvalidInputError, listed
 from flows.requests import cell_params
 from schemas.payload import PayloadParams
 from schemas.poses import Pose
-from schemas.sequence_file import DynamicsSection, SequenceFile
+from schemas.sequence_file import SequenceFile, TaskWeightsSection
 from tasks.assemble_cell import CellModelParams
 from tasks.generate_alternatives import AlternativeParams
 from tasks.list_tasks import TaskListParams, TaskParams
@@ -37,6 +38,7 @@ class SequenceRequest(BaseModel):
     verification: SequenceVerifyParams
     recording: SequenceRecordingParams = SequenceRecordingParams()
     report: SequenceReportParams
+    notes: tuple[str, ...] = Field(default=(), description="What the person should know beforehand.")
 
 
 def sequence_request(file: SequenceFile) -> SequenceRequest:
@@ -104,7 +106,23 @@ def _request(file: SequenceFile) -> SequenceRequest:
             notes=file.report.notes or "",
             template_sha256=sequence_template_digest(),
         ),
+        notes=tuple(_notes(file)),
     )
+
+
+def _notes(file: SequenceFile) -> Iterator[str]:
+    """Say of a payload that nothing asks for it: whoever weighs a tool expects its torques to be looked at."""
+    if file.tool.payload is not None and not _counts_torques(file):
+        yield (
+            f"{file.path}, tool.payload: {file.tool.payload.mass_kg:g} kg change nothing, for planner.cost is "
+            f"{file.planner.cost} and torques are not looked at: write planner.weights ({{}} for the default ones) to "
+            "price torques and hear of those above their limits, or set planner.cost to optimal_control"
+        )
+
+
+def _counts_torques(file: SequenceFile) -> bool:
+    planner = file.planner
+    return planner.weights is not None or "optimal_control" in (planner.cost, planner.motions)
 
 
 def _payload(file: SequenceFile) -> PayloadParams | None:
@@ -115,12 +133,15 @@ def _payload(file: SequenceFile) -> PayloadParams | None:
 def _dynamics(file: SequenceFile, payload: PayloadParams | None) -> DynamicsParams | None:
     """Return how dynamics are weighed, nothing where the file does not ask for them."""
     planner = file.planner
-    given = planner.dynamics
-    if given is None and "optimal_control" not in (planner.cost, planner.motions):
+    if not _counts_torques(file):
         return None
-    given = given or DynamicsSection()
+    weights = planner.weights or TaskWeightsSection()
     return DynamicsParams(
-        time_per_s=given.time_per_s, effort=given.effort, velocity=given.velocity, n_steps=given.steps, payload=payload
+        time_per_s=weights.time_per_s,
+        effort=weights.torque_per_n2m2s,
+        velocity=weights.speed_s_per_rad2,
+        n_steps=planner.steps,
+        payload=payload,
     )
 
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
+
 import tasks
 from cellwright.errors import UnsafePlanError
 from flows.placed_plan import PlacedPlan, Prepared, scanned, verified
@@ -12,11 +14,14 @@ from flows.requests import InspectionRequest
 from flows.runner import Step, Steps
 from flows.selection_rounds import Choice
 from schemas.payload import PayloadParams
+from schemas.sequencing import SweepSequence
 from storage.lake import Lake
 from tasks.sequence_sweeps import SweepSequenceParams
 
 SEQUENCED = "sequenced"
 """Label of the steps that execute the new sequence."""
+STITCHED = "stitched"
+"""Label of the step that keeps the plan as it was stitched."""
 
 
 def sequenced_plan(
@@ -47,8 +52,10 @@ def sequenced_plan(
         before=None if plan is first else first.connected.trajectory,
     )
     found: Any = lake.load(sequence.ref())
+    for note in _payload_notes(request, found):
+        step.note(note)
     if not found.is_taken:
-        return plan, sequence
+        return _stitched(step, request, plan, sequence, found), sequence
     trajectory = step(tasks.take_sequence, request.taken_sequence, sequence=sequence, trajectory=connected.trajectory)
     choice = Choice(connected.selection, plan.measurable)
     new = connected._replace(trajectory=trajectory)
@@ -60,7 +67,24 @@ def sequenced_plan(
     except UnsafePlanError as error:
         step.forgive(error)
         step.note(f"the stitched plan stays: a cheaper sequence of its sweeps fails its verification: {error}")
-        return plan, None
+        return _stitched(step, request, plan, sequence, found), None
+
+
+def _payload_notes(request: InspectionRequest, found: SweepSequence) -> list[str]:
+    """Return what is to be said of the payload: something only if no plan has torques to compare."""
+    return [request.payload_note] if request.payload_note and bool(np.isnan(found.work_j).all()) else []
+
+
+def _stitched(
+    step: Steps, request: InspectionRequest, plan: PlacedPlan, sequence: Step, found: SweepSequence
+) -> PlacedPlan:
+    """Return the stitched plan with its torques, if there are any: the motion is the same, so are scan and coverage."""
+    if not len(found.stitched_torque_nm):
+        return plan
+    connected = plan.connected
+    kept = request.taken_sequence.model_copy(update={"keep_stitched": True})
+    trajectory = step(tasks.take_sequence, kept, label=STITCHED, sequence=sequence, trajectory=connected.trajectory)
+    return replace(plan, connected=connected._replace(trajectory=trajectory))
 
 
 def _with_torques(request: InspectionRequest, sequencing: SweepSequenceParams) -> InspectionRequest:

@@ -62,6 +62,15 @@ def columns(kind: type[Artefact]) -> dict[str, FieldSpec]:
     return {name: spec for name, spec in specs(kind).items() if spec.role == "column"}
 
 
+def held(artefact: Artefact) -> dict[str, FieldSpec]:
+    """Return the declared fields of an artefact in order, without the optional columns that it leaves out."""
+    return {
+        name: spec
+        for name, spec in specs(type(artefact)).items()
+        if not (spec.optional and getattr(artefact, name).shape[1] == 0)
+    }
+
+
 def artefact_class(kind: str) -> type[Artefact]:
     """Look an artefact class up by its kind.
 
@@ -76,7 +85,7 @@ def artefact_class(kind: str) -> type[Artefact]:
 def digest(artefact: Artefact) -> str:
     """Return the SHA-256 (hex) of an artefact's content."""
     sha = hashlib.sha256(artefact.KIND.encode())
-    for name, spec in specs(type(artefact)).items():
+    for name, spec in held(artefact).items():
         value = getattr(artefact, name)
         sha.update(f"\0{name}\0{spec.dtype}\0".encode())
         if isinstance(value, np.ndarray):
@@ -105,11 +114,19 @@ def _checked(name: str, spec: FieldSpec, value: Any, lengths: dict[str, int]) ->
         return value
     if spec.role == "fact":
         return _fact(name, spec, value)
+    if spec.optional:
+        value = _or_left_out(spec, value, lengths.get(spec.table, 0))
     checked = _texts(name, value) if spec.dtype == "str" else _frozen(name, spec, value)
     length = lengths.setdefault(spec.table, len(checked))
     if len(checked) != length:
         raise InvalidInputError(f"{name} has {len(checked)} rows but table {spec.table!r} has {length}")
     return checked
+
+
+def _or_left_out(spec: FieldSpec, value: Any, n_rows: int) -> Any:
+    """Return an optional column, without width and as long as its table where it is left out, or has no rows at all."""
+    is_empty = value is None or np.shape(value)[1:] == (0,) or n_rows == len(value) == 0
+    return np.zeros((n_rows, 0), spec.dtype) if is_empty else value
 
 
 def _fact(name: str, spec: FieldSpec, value: Any) -> str | bool | int | float:

@@ -1,4 +1,7 @@
-"""The key `sequencing` of a cell file: by which cost the sweeps are ordered and the motions between them are found."""
+"""The key `sequencing` of a cell file: by which cost the sweeps are ordered and the motions between them are found.
+
+Weights, steps and masses are those of a sequence file too: one name, one unit and one meaning in both.
+"""
 
 from __future__ import annotations
 
@@ -11,21 +14,31 @@ from schemas.cell_file_fields import Length, Quantity, Section, WholeNumber
 
 TimeWeight = Annotated[float, Quantity(quantities.TIME_WEIGHT, above=0.0, most=1e9)]
 TorqueWeight = Annotated[float, Quantity(quantities.TORQUE_WEIGHT, least=0.0, most=1e9)]
-SpeedWeight = Annotated[float, Quantity(quantities.SPEED_WEIGHT, least=0.0, most=1e9)]
+SpeedWeight = Annotated[
+    float,
+    Quantity(quantities.SPEED_WEIGHT, least=0.0, most=1e9),
+    Field(alias="speed", description="Weight of the squared joint speeds; slower motions as it rises."),
+]
+Steps = Annotated[
+    WholeNumber,
+    Field(
+        ge=4,
+        le=200,
+        description="Steps of a motion found by optimal control; more follow limits closer and take longer.",
+    ),
+]
 Mass = Annotated[float, Quantity(quantities.MASS, least=0.0, most=1e4)]
 Gap = Annotated[float, Quantity(quantities.SHARE, least=0.0, most=0.5)]
 
 
 class WeightsSection(Section):
-    """Weights of the cost: of time, of squared joint torques, of squared joint speeds."""
+    """Weights of the cost, the integral of time + torque u·u + speed q̇·q̇ over joint torques u and joint speeds q̇."""
 
     time_per_s: TimeWeight = Field(default=1.0, alias="time", description="Weight of the time.")
     torque_per_n2m2s: TorqueWeight = Field(
         default=1e-6, alias="torque", description="Weight of the squared joint torques."
     )
-    speed_s_per_rad2: SpeedWeight = Field(
-        default=0.01, alias="speed", description="Weight of the squared joint speeds; slower motions as it rises."
-    )
+    speed_s_per_rad2: SpeedWeight = 0.01
 
 
 class PayloadSection(Section):
@@ -49,7 +62,7 @@ class SequencingSection(Section):
     )
     weights: WeightsSection = Field(default=WeightsSection(), description="Weights of the cost of optimal control.")
     payload: PayloadSection = Field(default=PayloadSection(), description="What the flange carries.")
-    steps: WholeNumber = Field(default=16, ge=4, le=200, description="Steps of a motion found by optimal control.")
+    steps: Steps = 16
     max_motions: WholeNumber = Field(default=60, ge=1, le=100_000, description="Motions found at most.")
     target_gap: Gap = Field(
         default=0.002, description="Share by which the lower bound may stay below the cost of the sequence."

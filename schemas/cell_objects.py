@@ -54,6 +54,13 @@ def build_cell(
     return cell.with_part(mesh, np.eye(4) if T_world_part is None else np.asarray(T_world_part, float))
 
 
+def known_torques(cell: Cell, torque_nm: FloatArray) -> dict[str, Any]:
+    """Return what `plan_chart` takes of torques (states, joints) and their limits, nothing where they are left out."""
+    from cellwright.cell.serial_arm import SerialArm
+
+    return {"torque": torque_nm, "max_torque": SerialArm.from_robot(cell.robot).max_effort} if torque_nm.size else {}
+
+
 def packed_bodies(bodies: Sequence[Body]) -> dict[str, Any]:
     """Return the columns of a `CellModel` that hold its bodies."""
     vertices: list[FloatArray] = []

@@ -29,6 +29,7 @@ class FieldSpec:
         meaning: One sentence for readers.
         table: Table that a column belongs to.
         suffix: File suffix of a blob, with the dot; empty if the artefact's own ``name`` field carries it.
+        optional: Whether a column of open width may be left out; its second dimension is zero then.
     """
 
     role: FieldRole
@@ -39,6 +40,7 @@ class FieldSpec:
     meaning: str
     table: str
     suffix: str
+    optional: bool = False
 
 
 _KEY = "cellwright"
@@ -52,12 +54,20 @@ def column(
     unit: str = "",
     frame: str = "",
     table: str = "rows",
+    optional: bool = False,
 ) -> Any:
     """Declare an array field with one row an entry, shape ``(rows,)`` or ``(rows, width)``.
 
-    ``dtype="str"`` declares a tuple of strings.
+    ``dtype="str"`` declares a tuple of strings. An ``optional`` column, of open width only, is given by its name or
+    not at all, stands behind the first column of its table, and is neither stored nor digested where it is left out:
+    an artefact without it is the one that it was before the column was declared.
     """
-    return dataclasses.field(metadata={_KEY: FieldSpec("column", dtype, width, unit, frame, meaning, table, "")})
+    spec = FieldSpec("column", dtype, width, unit, frame, meaning, table, "", optional)
+    if not optional:
+        return dataclasses.field(metadata={_KEY: spec})
+    if width != ANY_WIDTH:
+        raise TypeError(f"an optional column has width ANY_WIDTH, not {width}: {meaning}")
+    return dataclasses.field(default=None, kw_only=True, metadata={_KEY: spec})
 
 
 def fact(meaning: str, *, dtype: str = "float64", unit: str = "", default: Any = dataclasses.MISSING) -> Any:

@@ -13,6 +13,7 @@ from cellwright.cell.robot import moving_joints
 from cellwright.cell.serial_arm import SerialArm
 from cellwright.cell.transforms import apply
 from cellwright.errors import InvalidInputError
+from cellwright.solvers.layout.bodies import ROBOT_BASE, TOOL, link_name
 from cellwright.solvers.layout.problem import (
     Approach,
     LayoutCost,
@@ -153,6 +154,7 @@ def _robot_spheres(
             np.concatenate([links.centres, point.centres[:1]]),
             np.append(links.radii, wanted.base_radius_m),
             links.self_pairs,
+            (*links.body, ROBOT_BASE),
         )
     if wanted.tool_radius_m > 0.0:
         held = Spheres(np.concatenate([held.centres, point.centres[-1:]]), np.append(held.radii, wanted.tool_radius_m))
@@ -177,7 +179,12 @@ def link_spheres(arm: SerialArm, robot: RobotHull, *, self_collision: bool) -> R
     none = np.empty((0, 2), np.int64)
     everywhere = np.concatenate([np.empty((0, 3)), *centres])
     link = np.repeat(np.array(number, np.int64), robot.n_spheres)
-    return RobotSpheres(link, everywhere, robot.radius_m, np.concatenate([none, *pairs]))
+    body = [
+        link_name(name) if joint else ROBOT_BASE
+        for name, joint, n_spheres in zip(robot.link, number, robot.n_spheres.tolist())
+        for _ in range(n_spheres)
+    ]
+    return RobotSpheres(link, everywhere, robot.radius_m, np.concatenate([none, *pairs]), tuple(body))
 
 
 def with_tool(arm: SerialArm, spheres: RobotSpheres, tool: Spheres, *, self_collision: bool) -> RobotSpheres:
@@ -194,6 +201,7 @@ def with_tool(arm: SerialArm, spheres: RobotSpheres, tool: Spheres, *, self_coll
         np.concatenate([spheres.centres, tool.centres]),
         np.concatenate([spheres.radii, tool.radii]),
         np.concatenate([spheres.self_pairs, pairs]),
+        (*spheres.body, *[TOOL] * len(tool)),
     )
 
 

@@ -27,6 +27,13 @@ class Trajectory(Artefact):
     position_rad: FloatArray = column("Joint positions", width=ANY_WIDTH, unit="rad", table="states")
     velocity_rad_s: FloatArray = column("Joint velocities", width=ANY_WIDTH, unit="rad/s", table="states")
     acceleration_rad_s2: FloatArray = column("Joint accelerations", width=ANY_WIDTH, unit="rad/s^2", table="states")
+    torque_nm: FloatArray = column(
+        "Joint torques with what the arm carries, N on slides; left out where dynamics do not count",
+        width=ANY_WIDTH,
+        unit="N m",
+        table="states",
+        optional=True,
+    )
     segment: Int32Array = column("Segment that the state belongs to", dtype="int32", table="states")
     travel_m: FloatArray = column("Travel along the sweep; NaN on a connection", unit="m", table="states")
     kind: tuple[str, ...] = column("sweep or connection", dtype="str", table="segments")
@@ -111,6 +118,13 @@ class Recording(Artefact):
     state_time_ns: IntArray = column("Time of a joint state", dtype="int64", unit="ns", table="states")
     position_rad: FloatArray = column("Joint positions", width=ANY_WIDTH, unit="rad", table="states")
     velocity_rad_s: FloatArray = column("Joint velocities", width=ANY_WIDTH, unit="rad/s", table="states")
+    torque_nm: FloatArray = column(
+        "Joint torques, N on slides; left out where dynamics do not count",
+        width=ANY_WIDTH,
+        unit="N m",
+        table="states",
+        optional=True,
+    )
     frame: tuple[str, ...] = column("Moving and fixed frames", dtype="str", table="frames")
     frame_parent: tuple[str, ...] = column("Parent of the frame", dtype="str", table="frames")
     pose_time_ns: IntArray = column("Time of a frame's pose", dtype="int64", unit="ns", table="poses")

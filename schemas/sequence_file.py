@@ -40,15 +40,12 @@ from schemas.cell_file_fields import (
 )
 from schemas.cell_file_messages import faults_of, refusal
 from schemas.cell_file_robot import robot_faults
+from schemas.cell_file_sequencing import Mass, SpeedWeight, Steps, WeightsSection
 from schemas.poses import Pose
 from schemas.task_order import order_faults
 from schemas.tasks import MOST_ROTATIONS, MOST_TASKS
 
 Dwell = Annotated[float, Quantity(quantities.TIME, least=0.0, most=3600.0)]
-Mass = Annotated[float, Quantity(quantities.MASS, least=0.0, most=1e4)]
-TimeWeight = Annotated[float, Quantity(quantities.TIME_WEIGHT, above=0.0, most=1e6)]
-EffortWeight = Annotated[float, Quantity(quantities.TORQUE_WEIGHT, least=0.0, most=1e6)]
-SpeedWeight = Annotated[float, Quantity(quantities.SPEED_WEIGHT, least=0.0, most=1e6)]
 Rotations = Annotated[WholeNumber, Field(ge=1, le=MOST_ROTATIONS)]
 
 
@@ -68,7 +65,7 @@ def _end(value: object) -> object:
 
 
 class PayloadSection(Section):
-    """What the flange carries, tool included, as a point; only dynamics ask for it."""
+    """What the flange carries, tool included, as a point; it counts where torques do, see `planner.weights`."""
 
     mass_kg: Mass = Field(alias="mass", description="Its mass.", examples=["60 kg"])
     centre_m: tuple[Length, Length, Length] = Field(
@@ -174,15 +171,10 @@ class TasksSection(Section):
         return self
 
 
-class DynamicsSection(Section):
-    """How time, torque and speed are weighed: the cost is the integral of time + effort u.u + velocity q̇.q̇."""
+class TaskWeightsSection(WeightsSection):
+    """Weights of the cost, the integral of time + torque u·u + speed q̇·q̇ over joint torques u and joint speeds q̇."""
 
-    time_per_s: TimeWeight = Field(default=1.0, alias="time", description="c_t: what a second costs.")
-    effort: EffortWeight = Field(default=1e-6, description="c_e: what squared torques cost.")
-    velocity: SpeedWeight = Field(default=1.0, description="c_v: what squared speeds cost.")
-    steps: Annotated[WholeNumber, Field(ge=4, le=200)] = Field(
-        default=20, description="N: steps of a motion; more follow limits closer and take longer."
-    )
+    speed_s_per_rad2: SpeedWeight = 1.0
 
 
 class SequencePlannerSection(Section):
@@ -197,10 +189,12 @@ class SequencePlannerSection(Section):
         default="by_cost",
         description="Motions as the cost has them; or those of optimal control along the sequence that it leads to.",
     )
-    dynamics: DynamicsSection | None = Field(
+    weights: TaskWeightsSection | None = Field(
         default=None,
-        description="Weights of optimal control; where they are given, other sequences are priced by them too.",
+        description="Weights of the cost of optimal control; where they are given, other sequences are priced by them "
+        "too.",
     )
+    steps: Steps = 20
     keep_accelerations: bool = Field(
         default=False,
         description="Whether motions of optimal control keep acceleration limits beside torque limits.",

@@ -11,8 +11,8 @@ from schemas.artefact import Artefact
 from schemas.columns import ANY_WIDTH, blob, column, fact
 
 MOTION_COLUMNS = (
-    "time_s", "position_rad", "velocity_rad_s", "acceleration_rad_s2", "segment", "travel_m", "kind", "view", "branch",
-    "direction", "start_s", "end_s", "via",
+    "time_s", "position_rad", "velocity_rad_s", "acceleration_rad_s2", "torque_nm", "segment", "travel_m", "kind",
+    "view", "branch", "direction", "start_s", "end_s", "via",
 )  # fmt: skip
 """What a sequence and a trajectory have in common."""
 
@@ -41,6 +41,13 @@ class SweepSequence(Artefact):
     position_rad: FloatArray = column("Joint positions", width=ANY_WIDTH, unit="rad", table="states")
     velocity_rad_s: FloatArray = column("Joint velocities", width=ANY_WIDTH, unit="rad/s", table="states")
     acceleration_rad_s2: FloatArray = column("Joint accelerations", width=ANY_WIDTH, unit="rad/s^2", table="states")
+    torque_nm: FloatArray = column(
+        "Joint torques with what the arm carries, N on slides; left out where only time counts",
+        width=ANY_WIDTH,
+        unit="N m",
+        table="states",
+        optional=True,
+    )
     segment: Int32Array = column("Segment that the state belongs to", dtype="int32", table="states")
     travel_m: FloatArray = column("Travel along the sweep; NaN on a connection", unit="m", table="states")
     kind: tuple[str, ...] = column("sweep or connection", dtype="str", table="segments")
@@ -51,6 +58,12 @@ class SweepSequence(Artefact):
     end_s: FloatArray = column("Time at which it ends", unit="s", table="segments")
     via: tuple[str, ...] = column(
         "How a connection was found: direct, roadmap or optimal control", dtype="str", table="segments"
+    )
+    stitched_torque_nm: FloatArray = column(
+        "Joint torques at the states of the stitched plan, N on slides; no row where only time counts",
+        width=ANY_WIDTH,
+        unit="N m",
+        table="stitched",
     )
     cost_kind: str = fact("time or optimal_control", dtype="str")
     name: str = fact("What the sequenced plan is called among the plans", dtype="str")

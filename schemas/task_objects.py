@@ -128,6 +128,7 @@ def sequence_of(
     bounds = np.concatenate([[0.0], np.cumsum([motion.duration for *_, motion in pieces])])
     return TaskSequence(
         **states,
+        torque_nm=_torques(states, arm),
         kind=tuple(kind for kind, *_ in pieces),
         stop=np.array([stop for _, stop, *_ in pieces], np.int32),
         start_s=bounds[:-1],
@@ -185,6 +186,17 @@ def _prices(
         "weight_velocity": weights[2],
         "torque_share": share,
     }
+
+
+def _torques(states: dict[str, Any], arm: PricedArm | None) -> FloatArray:
+    """Return the torques (states, joints) at the states of a sequence, no column of them if nobody counts."""
+    if arm is None:
+        return np.zeros((len(states["time_s"]), 0))
+    from cellwright.solvers.motion_torques import state_torques
+    from cellwright.solvers.path_timing import TimedMotion
+
+    columns = ("time_s", "position_rad", "velocity_rad_s", "acceleration_rad_s2")
+    return state_torques(arm.dynamics, TimedMotion(*(states[name] for name in columns)))
 
 
 @dataclass(frozen=True, eq=False)

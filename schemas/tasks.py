@@ -67,6 +67,13 @@ class TaskSequence(Artefact):
     position_rad: FloatArray = column("Joint positions", width=ANY_WIDTH, unit="rad", table="states")
     velocity_rad_s: FloatArray = column("Joint velocities", width=ANY_WIDTH, unit="rad/s", table="states")
     acceleration_rad_s2: FloatArray = column("Joint accelerations", width=ANY_WIDTH, unit="rad/s^2", table="states")
+    torque_nm: FloatArray = column(
+        "Joint torques with what the arm carries, N on slides; left out where dynamics do not count",
+        width=ANY_WIDTH,
+        unit="N m",
+        table="states",
+        optional=True,
+    )
     segment: Int32Array = column("Segment that the state belongs to", dtype="int32", table="states")
     kind: tuple[str, ...] = column("motion, or work: stroke, dwell and stroke", dtype="str", table="segments")
     stop: Int32Array = column("Stop of the work; -1 on a motion", dtype="int32", table="segments")

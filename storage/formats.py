@@ -57,6 +57,7 @@ def fingerprint(kind: type[Artefact]) -> str:
     """
     declared = [
         (name, spec.role, spec.dtype, spec.width, spec.unit, spec.frame, spec.table, spec.suffix)
+        + (("optional",) if spec.optional else ())
         for name, spec in specs(kind).items()
     ]
     return hashlib.sha256(repr(declared).encode()).hexdigest()[:16]

@@ -14,6 +14,8 @@ if TYPE_CHECKING:
     from storage.lake import Lake
 
 _SHORTEST_PREFIX = 4
+_MOST_KINDS = 40
+"""More than a lake of all flows has, so that none is kept from who guesses."""
 
 
 class Ancestor(NamedTuple):
@@ -79,7 +81,7 @@ def resolve(lake: Lake, text: str) -> Ref:
     """Find an artefact by ``kind/digest``, a digest or a key, each by its first letters, or a kind: its newest.
 
     Raises:
-        InvalidInputError: If nothing or several things match; the message lists them.
+        InvalidInputError: If nothing matches, and which kinds there are, or several things match, and which.
     """
     everything = list(lake.manifests())
     of_kind = [manifest for manifest in everything if manifest.kind == text]
@@ -103,5 +105,7 @@ def resolve(lake: Lake, text: str) -> Ref:
     if not kinds:
         raise InvalidInputError(f"no artefact {text!r}: {lake.emptiness()}")
     near = difflib.get_close_matches(kind or text, kinds, n=3)
-    hint = f"did you mean {listed(near)}?" if near else f"kinds in the lake: {listed(kinds, 12)}"
-    raise InvalidInputError(f"no artefact {text!r} in {lake.url}: {hint}")
+    hint = f"did you mean {listed(near)}? " if near else ""
+    raise InvalidInputError(
+        f"no artefact {text!r} in {lake.url}: {hint}kinds in the lake: {listed(kinds, _MOST_KINDS)}"
+    )

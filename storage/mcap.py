@@ -1,9 +1,9 @@
 """Recordings as MCAP, with the protobuf messages that Foxglove and Rerun open by themselves.
 
-``/joint_states`` holds `foxglove.JointStates`, ``/tf`` `FrameTransforms` (one message for the poses of one
-time), ``/scene`` one `SceneUpdate` with a triangle list a body, ``/scan`` one `PointCloud` for the points of one
-time. Times are the plan's and start at zero; nothing of the clock enters, compression runs on one thread, so the
-same recording gives the same bytes.
+``/joint_states`` holds `foxglove.JointStates` (torques are `effort`, which is not set where there are none), ``/tf``
+`FrameTransforms` (one message for the poses of one time), ``/scene`` one `SceneUpdate` with a triangle list a body,
+``/scan`` one `PointCloud` for the points of one time. Times are the plan's and start at zero; nothing of the clock
+enters, compression runs on one thread, so the same recording gives the same bytes.
 
 The way back is exact. What the messages cannot carry stands beside them: names and parents of joints and frames in
 a metadata record, and the places of negative zeros, which protobuf writes as nothing at all, in attachments.
@@ -138,9 +138,9 @@ def _recording(artefact: Artefact) -> Recording:
 
 def _check(recording: Recording) -> None:
     n_joints = len(recording.joint)
-    for name in ("position_rad", "velocity_rad_s"):
+    for name in ("position_rad", "velocity_rad_s", "torque_nm"):
         width = getattr(recording, name).shape[1]
-        if width != n_joints:
+        if width != n_joints and (name != "torque_nm" or width):
             raise InvalidInputError(f"recording.{name} has {width} columns for {n_joints} joints")
     for name in ("frame", "entity"):
         names = getattr(recording, name)
@@ -197,9 +197,11 @@ def _runs(times: IntArray) -> Iterator[tuple[int, slice]]:
 def _joints(recording: Recording, channel: Any) -> Iterator[_Message]:
     from foxglove.messages import JointState, JointStates
 
+    unknown = [None] * len(recording.joint)
     for i, time_ns in enumerate(recording.state_time_ns.tolist()):
-        values = zip(recording.joint, recording.position_rad[i].tolist(), recording.velocity_rad_s[i].tolist())
-        states = [JointState(name=name, position=q, velocity=v) for name, q, v in values]
+        q, v = recording.position_rad[i].tolist(), recording.velocity_rad_s[i].tolist()
+        values = zip(recording.joint, q, v, recording.torque_nm[i].tolist() or unknown)
+        states = [JointState(name=name, position=q, velocity=v, effort=u) for name, q, v, u in values]
         message = JointStates(timestamp=_stamp(time_ns), joints=states)
         yield time_ns, 2, lambda message=message, t=time_ns: channel.log(message, log_time=t)  # type: ignore[misc]
 
@@ -296,9 +298,17 @@ def _scan(recording: Recording, channel: Any) -> Iterator[_Message]:
 
 def _joint_columns(messages: list[Any], n_joints: int) -> dict[str, AnyArray]:
     times = np.array([time_ns for time_ns, _ in messages], np.int64)
-    values = np.array([[(s.position, s.velocity) for s in states.joints] for _, states in messages], np.float64)
-    values = values.reshape(len(messages), n_joints, 2)
-    return {"state_time_ns": times, "position_rad": values[..., 0], "velocity_rad_s": values[..., 1]}
+    fields = {"position_rad": "position", "velocity_rad_s": "velocity"}
+    told = {state.HasField("effort") for _, states in messages for state in states.joints}
+    if len(told) > 1:
+        raise ValueError("some joint states tell the effort, others do not")
+    if told == {True}:
+        fields["torque_nm"] = "effort"
+    values = np.array(
+        [[[getattr(s, field) for field in fields.values()] for s in states.joints] for _, states in messages]
+    )
+    values = values.astype(np.float64).reshape(len(messages), n_joints, len(fields))
+    return {"state_time_ns": times, **{name: values[..., row] for row, name in enumerate(fields)}}
 
 
 def _pose_columns(messages: list[Any], row_of: Mapping[str, int]) -> dict[str, AnyArray]:

@@ -2,8 +2,9 @@
 
 The Arrow schema comes from the declarations in `schemas.columns`: unit, frame and meaning stand in the metadata
 of every field. Vectors are fixed-size lists whose child is named ``element``, as Parquet would rename it anyway.
-Nothing may be null, so arrays come back without a copy. Values round-trip bit for bit, NaN payloads and the sign
-of zero included, and the same artefact gives the same bytes with the same pyarrow.
+Nothing may be null, so arrays come back without a copy; an optional column that an artefact leaves out is no column
+of its file. Values round-trip bit for bit, NaN payloads and the sign of zero included, and the same artefact gives the
+same bytes with the same pyarrow.
 
 Integers are delta-packed, floats byte-stream-split, both under zstd: four million rows of two int32 and one
 float32 column take about a tenth of a second either way.
@@ -19,7 +20,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from cellwright.errors import InvalidInputError, LakeError
-from schemas.artefact import Artefact, specs
+from schemas.artefact import Artefact, held, specs
 from schemas.columns import ANY_WIDTH, FieldSpec
 
 FACTS = "facts"
@@ -36,7 +37,9 @@ def encode(artefact: Artefact) -> dict[str, bytes]:
     """
     kind = type(artefact)
     files: dict[str, bytes] = {}
-    for table, fields in tables(kind).items():
+    stored = held(artefact).keys()
+    for table, declared in tables(kind).items():
+        fields = {name: spec for name, spec in declared.items() if name in stored}
         arrays = {name: _array(f"{kind.KIND}.{name}", spec, getattr(artefact, name)) for name, spec in fields.items()}
         schema = pa.schema(
             [_field(name, spec, arrays[name].type) for name, spec in fields.items()],
@@ -158,9 +161,11 @@ def _file(files: Mapping[str, bytes], name: str) -> bytes:
 
 
 def _columns(path: str, fields: Mapping[str, FieldSpec], table: Any) -> dict[str, Any]:
-    if table.column_names != list(fields):
-        raise LakeError(f"{path} has columns {table.column_names}, expected {list(fields)}")
-    return {name: _values(path, name, spec, table) for name, spec in fields.items()}
+    there = set(table.column_names)
+    expected = [name for name, spec in fields.items() if name in there or not spec.optional]
+    if table.column_names != expected:
+        raise LakeError(f"{path} has columns {table.column_names}, expected {expected}")
+    return {name: _values(path, name, fields[name], table) for name in expected}
 
 
 def _values(path: str, name: str, spec: FieldSpec, table: Any) -> Any:

@@ -52,7 +52,7 @@ class LayoutParams(Params):
     seed: int = Field(default=0, ge=0, description="Seed of all random choices.")
 
 
-@stage(version=3)
+@stage(version=4)
 def optimise_layout(
     urdf: SourceFile | None,
     robot: RobotHull | None,

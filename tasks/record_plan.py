@@ -51,6 +51,7 @@ def record_plan(
         state_time_ns=nanoseconds(trajectory.time_s),
         position_rad=trajectory.position_rad,
         velocity_rad_s=trajectory.velocity_rad_s,
+        torque_nm=trajectory.torque_nm,
         frame=("base", PART, *links, "flange", "scanner"),
         frame_parent=("world", "world", *(["base"] * n_joints), links[-1], "flange"),
         **pose_columns(built, trajectory.time_s, trajectory.position_rad, fixed, 2, params.frame_rate_hz),

@@ -40,6 +40,7 @@ def record_sequence(cell: CellModel, sequence: TaskSequence, *, params: Sequence
         state_time_ns=nanoseconds(sequence.time_s),
         position_rad=sequence.position_rad,
         velocity_rad_s=sequence.velocity_rad_s,
+        torque_nm=sequence.torque_nm,
         frame=("base", *links, "flange", "tool"),
         frame_parent=("world", *(["base"] * n_joints), links[-1], "flange"),
         **pose_columns(built, sequence.time_s, sequence.position_rad, fixed, 1, params.frame_rate_hz),

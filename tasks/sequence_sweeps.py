@@ -26,6 +26,7 @@ from schemas.sweep_params import StitchParams
 from schemas.views import Reachability, Viewpoints, ViewSelection
 
 if TYPE_CHECKING:
+    from cellwright.arrays import FloatArray
     from cellwright.cell.cell import Cell
     from cellwright.solvers.optimal_control.measures import Measures
     from cellwright.solvers.path_timing import TimedMotion
@@ -60,7 +61,7 @@ class SweepSequenceParams(Params):
     )
 
 
-@stage(version=2)
+@stage(version=3)
 def sequence_sweeps(
     cell: CellModel,
     mesh: PartMesh,
@@ -218,6 +219,7 @@ def _result(
             f"the best sequence found costs {costs[name]:.6g}, not less than the stitched plan's {costs[stitched]:.6g}"
         )
     motion = _motion_columns(found if taken else None, executed, trajectory)
+    weighed = arm if params.cost == "optimal_control" else None
     rows = list(plans.values())
     return SweepSequence(
         plan=tuple(plans),
@@ -227,7 +229,8 @@ def _result(
         cost=np.array(list(costs.values())),
         torque_share=np.array([each.torque_share for each in rows]),
         taken=np.array([each == (name if taken else stitched) for each in plans]),
-        **motion,
+        **(motion | {"torque_nm": _torques(weighed, motion)}),
+        stitched_torque_nm=_stitched_torques(weighed, trajectory),
         cost_kind=params.cost,
         name=name,
         is_taken=taken,
@@ -277,18 +280,34 @@ def _motion_columns(found: SequencedSweeps | None, executed: ViewSelection, traj
     return {name: getattr(made, name) for name in MOTION_COLUMNS}
 
 
+def _torques(arm: ControlledArm | None, motion: dict[str, Any]) -> FloatArray | None:
+    """Return the torques at the states of a motion, nothing without dynamics or motion."""
+    from cellwright.solvers.motion_torques import state_torques
+
+    return None if arm is None or not len(motion["time_s"]) else state_torques(arm.dynamics, _timed_motion(motion))
+
+
+def _stitched_torques(arm: ControlledArm | None, trajectory: Trajectory) -> FloatArray:
+    """Return the torques at the states of the stitched plan, no row without dynamics."""
+    found = _torques(arm, {column: getattr(trajectory, column) for column in MOTION_COLUMNS})
+    return trajectory.position_rad[:0] if found is None else found
+
+
+def _timed_motion(columns: dict[str, Any]) -> TimedMotion:
+    from cellwright.solvers.path_timing import TimedMotion
+
+    states = ("time_s", "position_rad", "velocity_rad_s", "acceleration_rad_s2")
+    return TimedMotion(*(columns[name] for name in states))
+
+
 def _picture(arm: ControlledArm, trajectory: Trajectory, motion: dict[str, Any], name: str) -> bytes:
     from cellwright.figures.power_chart import PoweredPlan, power_chart
     from cellwright.solvers.optimal_control.measures import power_over_time
-    from cellwright.solvers.path_timing import TimedMotion
 
     plans = []
     stitched = {column: getattr(trajectory, column) for column in MOTION_COLUMNS}
     for title, each in ((f"stitched: {_chosen(trajectory)} order", stitched), (f"sequenced by {name}", motion)):
-        time, power = power_over_time(
-            arm.dynamics,
-            TimedMotion(each["time_s"], each["position_rad"], each["velocity_rad_s"], each["acceleration_rad_s2"]),
-        )
+        time, power = power_over_time(arm.dynamics, _timed_motion(each))
         sweeps = [
             (begin, end)
             for begin, end, kind in zip(each["start_s"].tolist(), each["end_s"].tolist(), each["kind"])

@@ -94,7 +94,7 @@ class SequenceParams(Params):
         return self.dynamics is not None or self.optimal_motions
 
 
-@stage(version=4)
+@stage(version=5)
 def sequence_tasks(
     cell: CellModel,
     tasks: TaskList,

@@ -83,7 +83,7 @@ def template_digest() -> str:
     return hashlib.sha256("\n".join(texts).encode()).hexdigest()
 
 
-@stage(version=7)
+@stage(version=8)
 def write_report(
     mesh: PartMesh,
     cell: CellModel,
@@ -114,7 +114,7 @@ def write_report(
     from cellwright.figures.cell_view import cell_picture
     from cellwright.figures.charts import plan_chart, uncertainty_histogram
     from cellwright.figures.coverage_map import coverage_picture
-    from schemas.cell_objects import build_cell
+    from schemas.cell_objects import build_cell, known_torques
 
     spacing = 1.0 / np.sqrt(max(cloud.density_per_m2, 1e-9))
     summary = summarise(
@@ -133,7 +133,8 @@ def write_report(
         summary["placement"] = placement_figures(placement)
     if sequence is not None:
         summary["sequencing"] = sequencing_figures(sequence)
-    cell_png = cell_picture(build_cell(cell, mesh, params.T_world_part.matrix()), params.scanner.scanner())
+    built = build_cell(cell, mesh, params.T_world_part.matrix())
+    cell_png = cell_picture(built, params.scanner.scanner())
     coverage_png = coverage_picture(
         mesh.vertices_m,
         mesh.faces,
@@ -156,6 +157,7 @@ def write_report(
         cell.max_velocity_rad_s,
         cell.joint,
         segments,
+        **known_torques(built, trajectory.torque_nm),
     )
     template = _template()
     environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined)

@@ -54,7 +54,7 @@ def sequence_template_digest() -> str:
     return hashlib.sha256(f"{_template()}\n{json.dumps(drawn_by, sort_keys=True)}".encode()).hexdigest()
 
 
-@stage(version=4)
+@stage(version=5)
 def write_sequence_report(
     cell: CellModel,
     tasks: TaskList,
@@ -70,7 +70,7 @@ def write_sequence_report(
     from cellwright.figures.charts import plan_chart
     from cellwright.figures.tool_path import orders_chart, tool_path_picture
     from cellwright.solvers.motion_steps import link_poses_of
-    from schemas.cell_objects import build_cell
+    from schemas.cell_objects import build_cell, known_torques
 
     summary = summarise_sequence(tasks, alternatives, sequence, verification)
     built = build_cell(cell)
@@ -86,7 +86,7 @@ def write_sequence_report(
     ]
     plan_png = plan_chart(
         sequence.time_s, sequence.position_rad, sequence.velocity_rad_s, cell.max_velocity_rad_s, cell.joint, segments,
-        marked="tasks",
+        marked="tasks", **known_torques(built, sequence.torque_nm),
     )  # fmt: skip
     environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined)
     page = environment.from_string(_template()).render(

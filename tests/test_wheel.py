@@ -62,7 +62,7 @@ def test_everything_comes_from_the_wheel(installed: Path, tmp_path: Path) -> Non
     for file in run(installed / "python", "-c", code, folder=tmp_path).split():
         assert Path(file).is_relative_to(installed.parent)
     examples = json.loads(run(installed / "cellwright", "examples", "--json", folder=tmp_path))
-    assert all(Path(path).is_relative_to(installed.parent) for path in examples.values())
+    assert all(Path(example["file"]).is_relative_to(installed.parent) for example in examples.values())
 
 
 def test_help_answers_at_once(installed: Path, tmp_path: Path) -> None:

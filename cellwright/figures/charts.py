@@ -47,8 +47,12 @@ def plan_chart(
     segments: list[tuple[float, float, bool]],
     *,
     marked: str = "sweeps",
+    torque: FloatArray | None = None,
+    max_torque: FloatArray | None = None,
 ) -> bytes:
-    """Draw joint positions and the share of the speed limit over time; sweeps stand numbered on coloured ground.
+    """Draw joint positions and shares of the speed limits over time; sweeps stand numbered on coloured ground.
+
+    Shares of the torque limits stand below where torques are known.
 
     Args:
         time: State times in s, (n,).
@@ -57,36 +61,44 @@ def plan_chart(
         joints: Joint names.
         segments: Begin and end in s and whether the segment is a sweep.
         marked: What stands on coloured ground, in the plural.
+        torque: Joint torques in N m, (n, joints); (n, 0) or left out where they are not known.
+        max_torque: Their limits, (joints,).
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
     from matplotlib.ticker import MultipleLocator
 
-    figure = Figure(figsize=(12, 5.6), dpi=110, layout="constrained")
+    shares = {"speed": np.abs(velocity) / max_velocity}
+    if torque is not None and max_torque is not None and torque.size:
+        shares["torque"] = np.abs(torque) / max_torque
+    count = 1 + len(shares)
+    figure = Figure(figsize=(12, 2.8 * count), dpi=110, layout="constrained")
     FigureCanvasAgg(figure)
-    above = figure.add_subplot(2, 1, 1)
-    below = figure.add_subplot(2, 1, 2, sharex=above)
+    above = figure.add_subplot(count, 1, 1)
+    panels = [figure.add_subplot(count, 1, row, sharex=above) for row in range(2, count + 1)]
     sweeps = [(begin, end) for begin, end, is_sweep in segments if is_sweep]
-    for axes in (above, below):
+    for axes in (above, *panels):
         for begin, end in sweeps:
             axes.axvspan(begin, end, color=SWEEP_COLOUR, alpha=0.13, linewidth=0)
         axes.spines[["top", "right"]].set_visible(False)
         axes.margins(x=0)
     for joint, name in enumerate(joints):
         above.plot(time, np.degrees(position[:, joint]), linewidth=1.2, label=plain_text(name))
-        below.plot(time, 100 * np.abs(velocity[:, joint]) / max_velocity[joint], linewidth=1.0)
     if len(sweeps) <= _MOST_NUMBERS:  # more would run into each other
         for number, (begin, end) in enumerate(sweeps, 1):
             above.annotate(
                 str(number), ((begin + end) / 2, 1.0), xycoords=("data", "axes fraction"), xytext=(0, 3),
                 textcoords="offset points", ha="center", fontsize=9, color="#1f7a46",
             )  # fmt: skip
-    below.axhline(100, color="#d1495b", linewidth=1)
-    below.set_ylim(0, 105)
+    for axes, (what, share) in zip(panels, shares.items()):
+        axes.plot(time, 100 * share, linewidth=1.0)
+        axes.axhline(100, color="#d1495b", linewidth=1)
+        most = float(share.max()) if what == "torque" else 1.0  # torques may exceed limits that nothing keeps
+        axes.set_ylim(0, 105.0 * max(1.0, most))
+        axes.set_ylabel(f"{what}, % of limit")
     above.yaxis.set_major_locator(MultipleLocator(90 if np.ptp(np.degrees(position)) > 180 else 45))
     above.grid(axis="y", color="#e3e7eb", linewidth=0.8)
     above.set_ylabel("joint position, °")
-    below.set_ylabel("speed, % of limit")
-    below.set_xlabel(f"time, s ({marked} on green, numbered in the order in which they run)")
+    panels[-1].set_xlabel(f"time, s ({marked} on green, numbered in the order in which they run)")
     above.legend(handles=above.get_lines(), loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False, fontsize=9)
     return png_bytes(figure)

@@ -31,6 +31,8 @@ EXACT_TURNS = ((4_000, 1.0), (10**9, 0.0))
 """Rounds of search and shares of the work on proof, in turn: a proof first, what is left for search if that fails."""
 SEARCH_TURNS = ((4_000, 0.1), (40_000, 0.9), (10**9, 0.0))
 """The same for problems that are hardly ever proven: a bound soon, a better one from a better tour, then search."""
+HOPELESS = 0.5
+"""Share of the cost below which a first bound is left as it is: more work on it would be missed by the search."""
 DEFAULT_ROUNDS = 60_000
 """Rounds of search in each chain: about two seconds for a hundred clusters of five."""
 DEFAULT_WORK = 3e11
@@ -97,7 +99,7 @@ def solve_sequence(
 
     for rounds, share in EXACT_TURNS if exact else SEARCH_TURNS:
         tour = search.run(min(rounds, n_rounds - search.n_rounds), stop, target=bound, n_threads=n_threads).tour
-        if share:
+        if share and (bound == 0.0 or bound >= HOPELESS * form.tour_cost(tour)):
             proof = prove(form, tour, max_work=share * work, memory=memory, stop=bounds_stopped, multiplier=multiplier,
                           n_threads=n_threads)  # fmt: skip
             search.take(proof.tour)

@@ -7,7 +7,11 @@ from pathlib import Path
 import pytest
 
 from cellwright.errors import InvalidInputError
+from flows import command_line
 from flows.examples import examples, examples_folder, find_cell_file
+from schemas.cell_file import load_cell_file
+from schemas.layout_file import load_layout_file
+from schemas.sequence_file import load_sequence_file
 
 
 @pytest.fixture
@@ -37,7 +41,20 @@ def test_a_near_miss_is_named(built_in: Path, text: str) -> None:
 
 
 def test_without_a_near_miss_the_examples_are_listed(built_in: Path) -> None:
-    with pytest.raises(InvalidInputError, match="the built-in examples are grooved"):
+    with pytest.raises(InvalidInputError, match=r"the built-in examples are grooved \(inspect\)$"):
+        find_cell_file("q")
+
+
+def test_every_shipped_example_names_the_command_that_takes_it(capsys: pytest.CaptureFixture[str]) -> None:
+    assert command_line.main(["examples"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == len(examples()) and len({line.index("/") for line in lines}) == 1  # in columns
+    load = {"inspect": load_cell_file, "layout": load_layout_file, "sequence": load_sequence_file}
+    for line in lines:
+        program, command, name, path = line.split(maxsplit=3)
+        assert program == "cellwright" and examples()[name] == Path(path)
+        load[command](Path(path))
+    with pytest.raises(InvalidInputError, match=r"grooved_cylinder \(inspect\); .* \(layout\); drilling_panel, stud_w"):
         find_cell_file("q")
 
 

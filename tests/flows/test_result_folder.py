@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from cellwright.errors import InvalidInputError
-from flows.result_folder import prepare_folder, write_files
+from cellwright.errors import InfeasibleError, InvalidInputError
+from flows.result_folder import prepare_folder, prepared, write_files
 from tests.flows.conftest import PROJECT
 
 OLD = {"summary.json": b"old", "plan.mcap": b"old", "scan.parquet": b"old"}
@@ -60,6 +60,24 @@ def test_what_a_killed_process_left_is_cleared_away_and_what_a_living_one_writes
 
 class Killed(BaseException):
     """Stands for the end of the process."""
+
+
+@pytest.mark.parametrize("error", [InfeasibleError("no way"), KeyboardInterrupt()])
+def test_a_run_without_result_leaves_no_empty_folder(tmp_path: Path, error: BaseException) -> None:
+    with pytest.raises(type(error)), prepared(tmp_path / "new" / "out"):
+        assert (tmp_path / "new" / "out").is_dir()
+        raise error
+    assert not contents(tmp_path) and not (tmp_path / "new").exists()
+
+
+def test_a_folder_that_stood_there_or_holds_something_stays(tmp_path: Path) -> None:
+    with pytest.raises(Killed), prepared(tmp_path):
+        raise Killed
+    filled = tmp_path / "filled"
+    with pytest.raises(Killed), prepared(filled):
+        (filled / "picture.png").write_bytes(b"")
+        raise Killed
+    assert contents(filled) == {"picture.png": b""}
 
 
 @pytest.mark.parametrize("n_steps", range(8))

@@ -6,7 +6,11 @@ import json
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import pyarrow.parquet as pq
 import pytest
+from mcap.reader import make_reader
+from mcap_protobuf.decoder import DecoderFactory
 
 from flows import command_line, sequence
 from flows.examples import examples, find_cell_file
@@ -42,6 +46,35 @@ def test_a_station_is_sequenced_verified_and_written(
     assert "<h2>Stages</h2>" in (tmp_path / "out" / "report.html").read_text()
 
 
+def efforts(path: Path) -> tuple[int, Any]:
+    """Return how many joint states of a recording tell an effort, and the efforts of all, read by the mcap library."""
+    with path.open("rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        joints = [decoded.joints for *_, decoded in reader.iter_decoded_messages(topics=["/joint_states"])]
+    told = sum(joint.HasField("effort") for each in joints for joint in each)
+    return told, np.array([[joint.effort for joint in each] for each in joints])
+
+
+def test_torques_stand_in_table_and_recording_where_dynamics_count(
+    tmp_path: Path, lake: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cell = write_cell(tmp_path, CELL.replace("  touches:", "  payload: {mass: 4 kg}\n  touches:"))
+    weighed, plain = tmp_path / "weighed", tmp_path / "plain"
+    assert run(capsys, str(cell), "--lake", lake, "--set", "planner.weights={}", "--out", str(weighed))[0] == 0
+    states = pq.read_table(weighed / "trajectory.parquet")
+    torque = np.array(states["torque_nm"].to_pylist())
+    assert torque.shape == (states.num_rows, 6) and np.isfinite(torque).all() and np.abs(torque).max() > 20.0
+    assert states.schema.field("torque_nm").metadata[b"unit"] == b"N m"
+    n_told, effort = efforts(weighed / "sequence.mcap")
+    assert n_told == torque.size and np.array_equal(effort, torque)
+
+    assert run(capsys, str(cell), "--lake", lake, "--out", str(plain))[0] == 0
+    without = pq.read_table(plain / "trajectory.parquet")
+    assert [name for name in states.column_names if name != "torque_nm"] == without.column_names
+    assert without["position_rad"].equals(states["position_rad"]), "weights price the motion, they do not change it"
+    assert efforts(plain / "sequence.mcap")[0] == 0
+
+
 def test_only_what_changed_is_recomputed(tmp_path: Path, lake: str, capsys: pytest.CaptureFixture[str]) -> None:
     cell = write_cell(tmp_path)
     run(capsys, str(cell), "--lake", lake)
@@ -60,8 +93,9 @@ def refused(
 def test_a_task_out_of_reach_is_infeasible_and_named(
     tmp_path: Path, lake: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    code, said = refused(tmp_path, lake, capsys, CELL.replace("-300 mm, 100 mm]", "-3000 mm, 100 mm]"))
-    assert code == 3 and "cannot do task 'a': out of reach" in said
+    text, out = CELL.replace("-300 mm, 100 mm]", "-3000 mm, 100 mm]"), tmp_path / "out"
+    code, said = refused(tmp_path, lake, capsys, text, "--out", str(out))
+    assert code == 3 and "cannot do task 'a': out of reach" in said and not out.exists()
 
 
 def test_a_tool_that_collides_at_the_start_is_named_with_the_key_that_mends_it(
@@ -150,16 +184,13 @@ def test_dynamics_of_a_file_reach_the_stages_that_need_them(tmp_path: Path) -> N
 
     text = CELL.replace("  touches:", "  payload: {mass: 4 kg, centre: [0 mm, 0 mm, 50 mm]}\n  touches:")
     cell = write_cell(tmp_path, text)
-    weights = "planner.dynamics={time: 2 /s, effort: 1e-3 /N^2/m^2/s, velocity: 0.5 s/rad^2, steps: 12}"
+    weights = "planner.weights={time: 2 /s, torque: 1e-3 /N^2/m^2/s, speed: 0.5 s/rad^2}"
     plain = sequence_request(load_sequence_file(cell))
     assert plain.sequence.dynamics is None and not plain.verification.by_torque
-    priced = sequence_request(load_sequence_file(cell, [weights]))
-    assert priced.sequence.dynamics is not None and priced.sequence.dynamics.time_per_s == 2.0
-    assert priced.sequence.dynamics.payload is not None and priced.sequence.dynamics.payload.centre_m == (
-        0.0,
-        0.0,
-        0.05,
-    )
+    priced = sequence_request(load_sequence_file(cell, [weights, "planner.steps=12"]))
+    weighed = priced.sequence.dynamics
+    assert weighed is not None and weighed.payload is not None and weighed.payload.centre_m == (0.0, 0.0, 0.05)
+    assert (weighed.time_per_s, weighed.effort, weighed.velocity, weighed.n_steps) == (2.0, 1e-3, 0.5, 12)
     assert not priced.sequence.optimal_motions and priced.verification.payload is None
     optimal = sequence_request(load_sequence_file(cell, ["planner.cost=optimal_control"]))
     assert optimal.sequence.dynamics is not None and optimal.sequence.dynamics.effort == 1e-6
@@ -171,13 +202,31 @@ def test_dynamics_of_a_file_reach_the_stages_that_need_them(tmp_path: Path) -> N
     assert both.sequence.keep_accelerations and both.verification.keep_accelerations
 
 
+def test_a_payload_that_nothing_asks_for_is_told_with_what_asks_for_it(
+    tmp_path: Path, lake: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from flows.sequence_requests import sequence_request
+
+    cell = write_cell(tmp_path, CELL.replace("  touches:", "  payload: {mass: 4 kg}\n  touches:"))
+    code, told, _ = run(capsys, str(cell), "--lake", lake)
+    assert code == 0 and told["notes"][0].startswith(f"{cell}, tool.payload: 4 kg change nothing")
+    assert "write planner.weights" in told["notes"][0]
+    assert command_line.main(["sequence", str(cell), "--lake", lake, "--direct"]) == 0
+    assert f"warning: {told['notes'][0]}" in capsys.readouterr().err
+    assert command_line.main(["validate", str(cell)]) == 0
+    assert "tool.payload: 4 kg change nothing" in " ".join(capsys.readouterr().out.split())
+    for mend in ("planner.weights={}", "planner.cost=optimal_control", "planner.motions=optimal_control"):
+        assert not sequence_request(load_sequence_file(cell, [mend])).notes
+    assert not sequence_request(load_sequence_file(write_cell(tmp_path, CELL))).notes
+
+
 def test_the_terminal_tells_what_the_cost_is_what_was_left_out_and_what_asks_for_too_much(
     tmp_path: Path, lake: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     text = CELL.replace("  touches:", "  payload: {mass: 11 kg, centre: [0 mm, 0 mm, 150 mm]}\n  touches:")
     text = text.replace("model: ur10e\n", "model: ur10e\n  max_acceleration: 60 rad/s^2\n")
     cell = write_cell(tmp_path, text)
-    weights = "planner.dynamics={time: 1 /s}"
+    weights = "planner.weights={time: 1 /s}"
     asked = [str(cell), "--lake", lake, "--direct", "--set", weights, "--set", "planner.cost=velocity"]
     assert command_line.main(["sequence", *asked]) == 0
     told = " ".join(capsys.readouterr().out.split())

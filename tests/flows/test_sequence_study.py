@@ -25,7 +25,7 @@ def study_file(folder: Path) -> Path:
         "name": "Orders",
         "cell": "station.yaml",
         "set": {
-            "planner.dynamics": {"effort": "1e-4 /N^2/m^2/s"},
+            "planner.weights": {"torque": "1e-4 /N^2/m^2/s"},
             "planner.max_motions": 4,
             "planner.roadmap_nodes": 60,
             "planner.max_alternatives": 2,

@@ -1,16 +1,25 @@
 from __future__ import annotations
 
+import io
+import math
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
+import pyarrow.parquet as pq
 import pytest
+from PIL import Image
 
 from cellwright.errors import InvalidInputError
 from flows import inspection, sequenced_plan
 from flows.inspection_result import InspectionResult
 from flows.requests import InspectionRequest, request_of
+from schemas.artefact import digest
 from schemas.payload import PayloadParams
 from storage.lake import Lake
+from tests.flows.test_sequence import efforts
 from tests.small_inspection import CELL, write_cell
 
 SEQUENCING = "sequencing: {cost: optimal_control, steps: 8, max_motions: 6, payload: {mass: 1.5 kg}}\n"
@@ -78,6 +87,23 @@ def test_the_verification_of_the_sequence_looks_at_torques_with_the_payload(
     assert shares == pytest.approx([told.torque_share[-1]], rel=0.02)  # looked at at other moments
 
 
+def test_torques_stand_in_table_recording_and_figure_where_dynamics_count(
+    cell: Path, sequenced: InspectionResult, stitched: InspectionResult, lake_url: str, tmp_path: Path
+) -> None:
+    inspection.run(cell, lake=lake_url, direct=True, out=tmp_path / "weighed")
+    inspection.run(cell, overrides=["sequencing=null"], lake=lake_url, direct=True, out=tmp_path / "plain")
+    states = pq.read_table(tmp_path / "weighed" / "trajectory.parquet")
+    torque = np.array(states["torque_nm"].to_pylist())
+    told: Any = Lake(lake_url).load(sequenced.refs["sequence"])
+    assert torque.shape == (states.num_rows, 6) and np.array_equal(torque, told.torque_nm)
+    n_told, effort = efforts(tmp_path / "weighed" / "plan.mcap")
+    assert n_told == torque.size and np.array_equal(effort, torque)
+    assert "torque_nm" not in pq.read_schema(tmp_path / "plain" / "trajectory.parquet").names
+    assert efforts(tmp_path / "plain" / "plan.mcap")[0] == 0
+    heights = [Image.open(io.BytesIO(each.report.plan_png)).height for each in (sequenced, stitched)]
+    assert 2 * heights[0] == 3 * heights[1]
+
+
 def test_a_sequence_that_fails_its_torques_leaves_the_stitched_plan_with_a_note(
     cell: Path, stitched: InspectionResult, lake_url: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -89,8 +115,11 @@ def test_a_sequence_that_fails_its_torques_leaves_the_stitched_plan_with_a_note(
 
     monkeypatch.setattr(sequenced_plan, "_with_torques", with_more)
     kept = inspection.run(cell, lake=lake_url, direct=True)
-    assert kept.refs["trajectory"] == stitched.refs["trajectory"]
-    assert kept.refs["verification"] == stitched.refs["verification"]
+    told: Any = Lake(lake_url).load(kept.refs["trajectory"])
+    assert told.torque_nm.shape == told.position_rad.shape
+    assert digest(replace(told, torque_nm=None)) == stitched.refs["trajectory"].digest
+    assert kept.refs["scan"] == stitched.refs["scan"] and kept.refs["coverage"] == stitched.refs["coverage"]
+    assert kept.refs["verification"].digest == stitched.refs["verification"].digest
     assert any("the stitched plan stays" in note and "joint torque is" in note for note in kept.notes)
 
 
@@ -118,6 +147,18 @@ def test_the_request_takes_weights_payload_and_the_middle_of_the_housing(cell: P
     assert params.payload_centre_m == pytest.approx((0.0775, 0.0, 0.0865))
     there = request_of(cell, ["sequencing.payload.centre=[1 mm, 2 mm, 3 mm]"]).sequencing
     assert there is not None and there.payload_centre_m == (0.001, 0.002, 0.003)
+
+
+def test_a_payload_that_nothing_can_weigh_is_told(cell: Path) -> None:
+    def notes(work_j: float, *overrides: str) -> list[str]:
+        found: Any = SimpleNamespace(work_j=np.array([math.nan, work_j]))  # with the greedy plan, which may be missing
+        return sequenced_plan._payload_notes(request_of(cell, overrides), found)
+
+    (note,) = notes(math.nan, "sequencing.cost=time")
+    assert note.startswith(f"{cell}, sequencing.payload: 1.5 kg change nothing") and "<inertial>" in note
+    assert not notes(3.0, "sequencing.cost=time")
+    assert not notes(math.nan, "sequencing.cost=optimal_control")
+    assert not notes(math.nan, "sequencing={cost: time}")
 
 
 def test_a_payload_that_the_arm_cannot_hold_is_named_with_its_key(cell: Path, lake_url: str) -> None:

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from cellwright.arrays import BoolArray, Float32Array, FloatArray, Int32Array
 from cellwright.errors import InvalidInputError
-from schemas.artefact import Artefact, artefact_class, columns, digest, specs
+from schemas.artefact import Artefact, artefact_class, columns, digest, held, specs
 from schemas.columns import ANY_WIDTH, blob, column, fact
 
 PROJECT = Path(__file__).parents[2]
@@ -180,6 +180,50 @@ def test_a_kind_is_found_by_its_name_and_is_declared_once() -> None:
 
         class Another(Artefact):
             KIND: ClassVar[str] = "test-everything"
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Plain(Artefact):
+    """What `Grown` was before it got a column."""
+
+    KIND: ClassVar[str] = "test-plain"
+
+    row: Int32Array = column("Row", dtype="int32", table="states")
+    length: float = fact("Length", unit="m")
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Grown(Artefact):
+    """The same with a column that may be left out, before a fact that may not."""
+
+    KIND: ClassVar[str] = "test-grown"
+
+    row: Int32Array = column("Row", dtype="int32", table="states")
+    torque_nm: FloatArray = column("Torques", width=ANY_WIDTH, unit="N m", table="states", optional=True)
+    length: float = fact("Length", unit="m")
+
+
+def test_an_artefact_without_its_optional_column_is_the_one_before_it_was_declared(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    grown = Grown(np.arange(3, dtype=np.int32), 0.5)
+    assert grown.torque_nm.shape == (3, 0) and not grown.torque_nm.flags.writeable
+    assert dataclasses.replace(grown, row=np.arange(5, dtype=np.int32)).torque_nm.shape == (5, 0)
+    assert held(grown).keys() == {"row", "length"}
+    told = Grown(np.arange(3, dtype=np.int32), 0.5, torque_nm=np.zeros((3, 2)))
+    assert held(told).keys() == {"row", "torque_nm", "length"} and digest(told) != digest(grown)
+    monkeypatch.setattr(Grown, "KIND", Plain.KIND)
+    assert digest(grown) == digest(Plain(np.arange(3, dtype=np.int32), 0.5))
+
+
+def test_an_optional_column_has_the_rows_of_its_table_and_an_open_width() -> None:
+    with pytest.raises(InvalidInputError, match="torque_nm has 2 rows but table 'states' has 3"):
+        Grown(np.arange(3, dtype=np.int32), 0.5, torque_nm=np.ones((2, 2)))
+    with pytest.raises(InvalidInputError, match="torque_nm has 0 rows but table 'states' has 3"):
+        Grown(np.arange(3, dtype=np.int32), 0.5, torque_nm=np.ones((0, 2)))
+    assert Grown(np.zeros(0, np.int32), 0.5, torque_nm=np.ones((0, 2))).torque_nm.shape == (0, 0)
+    with pytest.raises(TypeError, match="an optional column has width ANY_WIDTH"):
+        column("Three", width=3, optional=True)
 
 
 def test_an_artefact_is_shown_by_its_tables() -> None:

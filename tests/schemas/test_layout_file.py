@@ -113,6 +113,8 @@ def test_a_tool_beyond_the_urdf_keeps_clear_like_the_links(tmp_path: Path) -> No
     )  # fmt: skip
     plain, with_tool = (built(tmp_path, write_layout(tmp_path, **each)).robot_spheres for each in (gripping(), changes))
     n = len(plain)
+    assert {"robot base", "link 'upper'", "link 'hand'"} <= set(plain.body) and with_tool.body[:n] == plain.body
+    assert with_tool.body[n:] == ("robot base", "the tool", "the tool")
     assert with_tool.link[n:].tolist() == [0, 2, 2]
     np.testing.assert_allclose(with_tool.radii[n:], [0.1, 0.1, 0.02])
     np.testing.assert_allclose(

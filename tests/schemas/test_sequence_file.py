@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from cellwright.errors import InvalidInputError
-from schemas.sequence_file import load_sequence_file
+from schemas.cell_file_sequencing import SequencingSection, WeightsSection
+from schemas.sequence_file import SequencePlannerSection, TaskWeightsSection, load_sequence_file
 from tests.small_sequence import CELL, write_cell
 
 TASK = "    - {name: a, position: [0 mm, -300 mm, 100 mm], direction: [1, 0, 0]}"
@@ -56,12 +57,31 @@ def test_settings_reach_a_task_by_its_name(tmp_path: Path) -> None:
         ("max_motions: 60", "end: [0 deg, 0 deg]", "has 2 entries but the robot has 6 joints"),
         ("max_motions: 60", "start: anywhere", "a round trip that starts anywhere has no first task"),
         ("max_motions: 60", "max_motions: true", "true is not a whole number"),
+        ("max_motions: 60", "dynamics: {time: 1 /s}", "'dynamics': known are cost, motions, weights, steps"),
+        ("max_motions: 60", "weights: {effort: 1 /N^2/m^2/s}", "unknown key 'effort': known are time, torque, speed"),
+        ("max_motions: 60", "weights: {velocity: 1 s/rad^2}", "unknown key 'velocity': known are time, torque, speed"),
+        (
+            "max_motions: 60",
+            "weights: {speed: 1}",
+            "planner.weights.speed: 1 has no unit but a weight of squared speed needs one",
+        ),
+        ("max_motions: 60", "steps: 3", "planner.steps: 3 must be at least 4"),
     ],
 )
 def test_a_fault_names_line_key_value_and_mend(tmp_path: Path, old: str, new: str, words: str) -> None:
     said = refusal(tmp_path, old, new)
     assert words in said
     assert "line " in said or "station.yaml" in said
+
+
+def test_weights_and_steps_are_written_as_in_a_cell_file() -> None:
+    weights = zip(TaskWeightsSection.model_fields.items(), WeightsSection.model_fields.items(), strict=True)
+    steps = (("steps", section.model_fields["steps"]) for section in (SequencePlannerSection, SequencingSection))
+    for (own, field), (other, cells) in [*weights, (next(steps), next(steps))]:
+        assert own == other and field.alias == cells.alias and field.description == cells.description
+        assert field.annotation == cells.annotation and field.metadata == cells.metadata
+    assert TaskWeightsSection.__doc__ == WeightsSection.__doc__
+    assert TaskWeightsSection().speed_s_per_rad2 == 1.0 and WeightsSection().speed_s_per_rad2 == 0.01
 
 
 def test_a_file_without_tasks_says_what_it_may_be_for(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ def test_the_page_lists_every_key_with_its_default() -> None:
 
 def test_the_tables_name_every_section_of_the_file() -> None:
     assert set(sections()) == {
-        "", "robot", "tool", "tool.payload", "tasks", "tasks.list", "planner", "planner.dynamics", "report",
+        "", "robot", "tool", "tool.payload", "tasks", "tasks.list", "planner", "planner.weights", "report",
     }  # fmt: skip
 
 

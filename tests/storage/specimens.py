@@ -24,6 +24,7 @@ class Specimen(Artefact):
     joints_rad: Any = column("Open width", width=ANY_WIDTH, unit="rad", table="states")
     flag: Any = column("Flat bool", dtype="bool", table="states")
     name: tuple[str, ...] = column("Words", dtype="str", table="states")
+    torque_nm: Any = column("May be left out", width=ANY_WIDTH, unit="N m", table="states", optional=True)
     point_m: Any = column("Vectors", dtype="float32", width=3, unit="m", frame="part", table="points")
     face: Any = column("Flat int32", dtype="int32", table="points")
     small: Any = column("Flat int8", dtype="int8", table="points")
@@ -71,7 +72,7 @@ def specimens(draw: st.DrawFn) -> Specimen:
         if spec.dtype == "str":
             values[name] = tuple(draw(st.lists(_TEXT, min_size=n_rows, max_size=n_rows)))
             continue
-        width = _FIXED.get(name, draw(st.integers(0 if n_rows == 0 else 1, 4)))
+        width = _FIXED.get(name, draw(st.integers(0 if n_rows == 0 or spec.optional else 1, 4)))
         shape = (n_rows,) if spec.width is None else (n_rows, width)
         values[name] = draw(hnp.arrays(np.dtype(spec.dtype), shape))
     return Specimen(

@@ -85,7 +85,8 @@ def test_of_two_recipes_with_one_result_the_newest_answers(lake: Lake, chain: di
 
 def test_what_means_nothing_or_several_things_is_told(lake: Lake, chain: dict[str, Ref]) -> None:
     for text, fact in (
-        ("scource-file", r"did you mean source-file\?"),
+        ("scource-file", r"did you mean source-file\? kinds in the lake: source-file, test-tally"),
+        ("trajectory", "no artefact 'trajectory' in .*: kinds in the lake: source-file, test-tally"),
         ("source-file/0000", "no artefact"),
         ("zzzz", "kinds in the lake: source-file, test-tally"),
         (chain["left"].digest[:2], "too short"),

@@ -47,6 +47,7 @@ def recordings(draw: st.DrawFn) -> Recording:
         state_time_ns=draw(hnp.arrays(np.int64, n_states, elements=times)),
         position_rad=floats(n_states, len(joint)),
         velocity_rad_s=floats(n_states, len(joint)),
+        torque_nm=draw(st.sampled_from([None, floats(n_states, len(joint))])),
         frame=frame,
         frame_parent=["world"] * len(frame),
         pose_time_ns=draw(hnp.arrays(np.int64, n_poses, elements=times)),
@@ -132,6 +133,7 @@ def test_the_mcap_library_reads_the_messages_under_the_names_that_viewers_know()
     assert states.timestamp.ToNanoseconds() == 8_000_000
     assert [state.name for state in states.joints] == ["shoulder", "elbow"]
     assert states.joints[0].position == np.sin(0.008)
+    assert not any(state.HasField("effort") for state in states.joints)
     (_, update) = messages["/scene foxglove.SceneUpdate"][0]
     assert [(entity.id, entity.frame_id) for entity in update.entities] == [("table", "world"), ("part", "part")]
     assert len(update.entities[0].triangles[0].points) == 6
@@ -141,6 +143,21 @@ def test_the_mcap_library_reads_the_messages_under_the_names_that_viewers_know()
     assert np.frombuffer(cloud.data, np.float32).reshape(4, 4)[0].tolist() == [12, 13, 14, np.float32(4e-5)]
     (_, first) = messages["/tf foxglove.FrameTransforms"][0]
     assert [(t.parent_frame_id, t.child_frame_id) for t in first.transforms] == [("world", "base"), ("base", "link")]
+
+
+def test_torques_are_the_effort_of_joint_states() -> None:
+    torque = np.array([[1.5, -0.0], [2.5, np.nan], [-300.25, 1e-9]])
+    recording = replace(plan(3), torque_nm=torque)
+    reader = make_reader(io.BytesIO(encode(recording)[FILE]), decoder_factories=[DecoderFactory()])
+    states = [decoded for *_, decoded in reader.iter_decoded_messages(topics=["/joint_states"])]
+    found = np.array([[joint.effort for joint in each.joints] for each in states])
+    np.testing.assert_array_equal(found, torque)
+    assert same(decode(Recording, encode(recording)), recording)
+
+
+def test_torques_of_other_joints_are_refused() -> None:
+    with pytest.raises(InvalidInputError, match="torque_nm has 1 columns for 2 joints"):
+        encode(replace(plan(3), torque_nm=np.ones((3, 1))))
 
 
 @pytest.mark.skipif(importlib.util.find_spec("rerun") is None, reason="rerun-sdk is not installed")

@@ -1,6 +1,6 @@
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -70,6 +70,17 @@ def test_the_number_of_joints_is_kept_without_a_row() -> None:
     specimen = _specimen()
     assert specimen.joints_rad.shape == (0, 6)
     assert decode(Specimen, encode(specimen)).joints_rad.shape == (0, 6)  # type: ignore[attr-defined]
+
+
+def test_an_optional_column_that_is_left_out_is_no_column_of_the_file() -> None:
+    specimen = replace(
+        _specimen(), time_s=np.zeros(2), joints_rad=np.ones((2, 6)), flag=np.ones(2, bool), name=("a", "b")
+    )
+    told = replace(specimen, torque_nm=np.ones((2, 6)))
+    columns = [pq.read_schema(pa.BufferReader(encode(each)["states.parquet"])).names for each in (specimen, told)]
+    assert columns == [["time_s", "joints_rad", "flag", "name"], ["time_s", "joints_rad", "flag", "name", "torque_nm"]]
+    back = decode(Specimen, encode(specimen)), decode(Specimen, encode(told))
+    assert [each.torque_nm.shape for each in back] == [(2, 0), (2, 6)]  # type: ignore[attr-defined]
 
 
 def test_a_unit_that_has_changed_is_refused() -> None:

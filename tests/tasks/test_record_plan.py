@@ -89,6 +89,14 @@ def test_joint_states_are_those_of_the_trajectory() -> None:
     np.testing.assert_array_equal(recording().state_time_ns, np.round(trajectory.time_s * 1e9).astype(np.int64))
 
 
+def test_joint_states_carry_the_torques_of_a_trajectory_that_has_them() -> None:
+    torque = np.random.default_rng(0).normal(size=plan.trajectory().position_rad.shape)
+    told = plan.changed(plan.trajectory(), torque_nm=torque)
+    found = record_plan(plan.cell(), plate(), told, plan.scan(), params=PARAMS)
+    np.testing.assert_array_equal(found.torque_nm, torque)
+    assert recording().torque_nm.shape == (len(torque), 0)
+
+
 def test_bodies_hang_on_what_moves_them_and_are_coloured_by_what_they_are() -> None:
     found = recording()
     carried = dict(zip(found.entity, found.entity_frame, strict=True))

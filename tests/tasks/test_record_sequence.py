@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from storage.formats import format_of
@@ -30,6 +32,14 @@ def test_it_survives_the_file_format():
     files = format_of(type(found)).encode(found)
     back = format_of(type(found)).decode(type(found), files)
     assert np.array_equal(back.state_time_ns, found.state_time_ns) and back.frame == found.frame
+
+
+def test_joint_states_carry_the_torques_of_a_sequence_that_has_them():
+    torque = np.random.default_rng(0).normal(size=small.sequence().position_rad.shape)
+    told = replace(small.sequence(), torque_nm=torque)
+    found = record_sequence(small.cell(), told, params=SequenceRecordingParams(frame_rate_hz=10))
+    assert np.array_equal(found.torque_nm, torque)
+    assert recording().torque_nm.shape == (len(torque), 0)
 
 
 def test_the_result_is_the_one_of_this_version():

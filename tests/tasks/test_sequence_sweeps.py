@@ -95,6 +95,37 @@ def test_the_torques_of_joining_motions_keep_their_limits() -> None:
     assert (controlled().effort_n2m2s > 0).all() and (controlled().work_j > 0).all()
 
 
+def peer_torques(plan: Any, carried_kg: float) -> Any:
+    """Return what pinocchio's inverse dynamics of the URDF with a point mass on the flange asks for, state by state."""
+    import pinocchio
+
+    model = pinocchio.buildModelFromXML(cell_model().urdf)
+    flange = model.frames[model.getFrameId(cell_model().flange_link)]
+    carried = pinocchio.Inertia(carried_kg, np.zeros(3), np.zeros((3, 3)))
+    model.appendBodyToJoint(flange.parentJoint, carried, flange.placement)
+    data = model.createData()
+    rows = zip(plan.position_rad, plan.velocity_rad_s, plan.acceleration_rad_s2)
+    return np.array([pinocchio.rnea(model, data, *row) for row in rows])
+
+
+def test_the_plan_has_the_torques_of_inverse_dynamics_with_the_payload() -> None:
+    plan = taken(controlled(), stitched())
+    assert plan.torque_nm.shape == plan.position_rad.shape
+    np.testing.assert_allclose(plan.torque_nm, peer_torques(plan, PARAMS.payload_kg), atol=1e-8)
+    assert not np.allclose(plan.torque_nm, peer_torques(plan, 0.0), atol=0.5)
+
+
+def test_the_stitched_plan_gets_its_torques_too_if_it_stays_though_dynamics_count() -> None:
+    kept = take_sequence(controlled(), stitched(), params=TakenSequenceParams(keep_stitched=True))
+    np.testing.assert_allclose(kept.torque_nm, peer_torques(stitched(), PARAMS.payload_kg), atol=1e-8)
+    assert digest(replace(kept, torque_nm=None)) == digest(stitched())
+
+
+def test_by_time_alone_no_torques_are_told() -> None:
+    plan = taken(by_time(), stitched("greedy"))
+    assert plan.torque_nm.shape == (len(plan.time_s), 0) and len(by_time().stitched_torque_nm) == 0
+
+
 def test_the_picture_shows_both_plans() -> None:
     from PIL import Image
 

@@ -211,6 +211,31 @@ def test_holding_still_is_part_of_the_work_at_each_task():
     assert np.all(plan.holding_n2m2s <= plan.torque_squared_n2m2s[work] + 1e-9)
 
 
+def peer_torques(plan, carried_kg: float):
+    """Return what pinocchio's inverse dynamics of the URDF with a point mass on the flange asks for, state by state."""
+    import pinocchio
+
+    model = pinocchio.buildModelFromXML(small.cell().urdf)
+    flange = model.frames[model.getFrameId(small.cell().flange_link)]
+    carried = pinocchio.Inertia(carried_kg, np.zeros(3), np.zeros((3, 3)))
+    model.appendBodyToJoint(flange.parentJoint, carried, flange.placement)
+    data = model.createData()
+    acceleration = plan.acceleration_rad_s2.copy()
+    for arrive, leave in zip(plan.arrive_s, plan.leave_s):  # at each task it only has to hold still
+        acceleration[(plan.time_s >= arrive - 1e-9) & (plan.time_s <= leave + 1e-9)] = 0.0
+    rows = zip(plan.position_rad, plan.velocity_rad_s, acceleration)
+    return np.array([pinocchio.rnea(model, data, *row) for row in rows])
+
+
+def test_torques_at_the_states_are_those_of_inverse_dynamics_with_the_payload():
+    for plan in (optimal()[1], dynamic()[1]):
+        assert plan.torque_nm.shape == plan.position_rad.shape
+        assert np.allclose(plan.torque_nm, peer_torques(plan, 3.0), atol=1e-8)
+        assert not np.allclose(plan.torque_nm, peer_torques(plan, 0.0), atol=1.0)
+        share = np.abs(plan.torque_nm) / [330.0, 330.0, 150.0, 54.0, 54.0, 54.0]
+        assert share.max() == pytest.approx(plan.torque_share, rel=0.02)  # looked at at other moments
+
+
 def test_optimal_motions_along_a_sequence_in_time_cost_less_than_its_own():
     _, in_time = dynamic()
     _, plan = dynamic(motions="optimal_control")
@@ -261,7 +286,7 @@ def test_the_tool_stays_as_long_as_it_has_to_however_densely_states_are_sampled(
 
 def test_sequences_in_time_are_not_priced_unless_dynamics_are_weighed():
     plan = small.sequence()
-    assert plan.weight_time == 0.0 and plan.torque_share == 0.0
+    assert plan.weight_time == 0.0 and plan.torque_share == 0.0 and plan.torque_nm.shape == (len(plan.time_s), 0)
     for column in (plan.torque_squared_n2m2s, plan.speed_squared_rad2_s, plan.holding_n2m2s):
         assert len(column) and np.isnan(column).all()
 

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import io
 import json
 import re
 from dataclasses import replace
@@ -7,6 +8,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from schemas.sequence_summary import acceleration_words, alternatives_words, bound_words, cost_label, ordering_words
 from tasks.write_sequence_report import SequenceReportParams, write_sequence_report
@@ -55,6 +57,15 @@ def test_a_likely_bound_is_told_beside_the_proven_one():
     assert figures["likely_bound"] == 1646.0 and figures["least_ratio"] == 0.87 and figures["motions_guessed"] == 342
     without = json.loads(report().summary)
     assert without["likely_bound"] is None and "of its guess" not in report().page.decode()
+
+
+def test_torques_get_a_panel_of_the_plan_where_they_are_known():
+    told = replace(small.sequence(), torque_nm=np.full_like(small.sequence().position_rad, 20.0))
+    found = write_sequence_report(
+        small.cell(), small.task_list(), small.alternatives(), told, small.verification(), params=SequenceReportParams()
+    )
+    with Image.open(io.BytesIO(found.plan_png)) as three, Image.open(io.BytesIO(report().plan_png)) as two:
+        assert 2 * three.height == 3 * two.height and three.width == two.width
 
 
 def test_every_stop_and_every_check_is_on_the_page():

@@ -45,6 +45,8 @@ PATIENCE = 4
 """Steps without a better bound after which they get shorter, once memories have begun to grow."""
 AT_ONCE = 2
 """Depot nodes that are worked on at once, always: with another number of threads the same happens."""
+DEPOT_STEPS = 20
+"""Steps by which prices of all tours are fitted to those through one depot node."""
 JOINT_STAGES = 3
 """Stages that tours through any depot node go through together, where there are several."""
 
@@ -78,6 +80,7 @@ class _Limits:
     memory: int
     stop: Stop | None
     stopped_by: str = ""
+    wanted: float = -np.inf
 
     def spent(self, work: float) -> bool:
         """Whether that much work, or the time, is over."""
@@ -97,6 +100,7 @@ def prove(
     form: TourForm, tour: Int32Array, *, max_work: float, memory: int, stop: Stop | None = None,
     multiplier: FloatArray | None = None,
     n_threads: int | None = None,
+    until_cheaper: bool = False,
 ) -> Proof:  # fmt: skip
     """Prove a tour cheapest, or find a cheaper one that is, within limits of work and memory.
 
@@ -108,10 +112,12 @@ def prove(
         stop: Asked between steps.
         multiplier: Prices to start from.
         n_threads: Threads; the result does not depend on them.
+        until_cheaper: Whether to end with the first stage that finds a cheaper tour.
     """
-    proof = Proof(tour, form.tour_cost(tour), 0.0, "proof", 0, 0.0, np.zeros(form.n_clusters - 1))
+    given = form.tour_cost(tour)
+    proof = Proof(tour, given, 0.0, "proof", 0, 0.0, np.zeros(form.n_clusters - 1))
     proof.bound = min(form.least_bound(), proof.cost)
-    limits = _Limits(max_work, memory, stop)
+    limits = _Limits(max_work, memory, stop, wanted=form.below(given) if until_cheaper else -np.inf)
     if proof.bound >= form.below(proof.cost) or limits.spent(float(form.n_clusters) * len(form.cost) ** 2):
         proof.stopped_by = limits.stopped_by or "proof"
         return proof
@@ -153,7 +159,7 @@ def _prove_each(
                 else:
                     closed.append(problem.bound)
         left = remaining
-        if not left or limits.stopped_by:
+        if not left or limits.stopped_by or proof.cost < limits.wanted:
             break
     proof.bound = max(proof.bound, min([proof.cost, *closed, *(problem.bound for problem, _ in left)]))
     if left:
@@ -183,7 +189,7 @@ def _stage_of(
             return problem.bound < form.below(proof.cost), replace(each, work=0.0), own.stopped_by
         before = problem.work
         if stage == begun > 0:
-            raise_bound(problem, proof.cost, form.below(proof.cost), STAGES[0][1] // 4, limits.stop)
+            raise_bound(problem, proof.cost, form.below(proof.cost), DEPOT_STEPS, limits.stop)
         open_ = _tighten(form, problem, depot, each, stage, own)
         return open_, replace(each, work=problem.work - before), own.stopped_by
 

@@ -32,7 +32,7 @@ class SequencingProblem:
         service: What executing the alternative costs by itself, (alternatives,); zeros if left out.
         closed: Whether the sequence returns to its first alternative.
         start: Cluster that comes first, or none.
-        end: Cluster that comes last, or none.
+        end: Cluster that comes last, or none. A closed sequence needs ``start`` for that.
         before: Pairs (i, j) of clusters: i somewhere before j. A closed sequence needs ``start`` for that.
         names: What to call each cluster; its number if left out.
 
@@ -217,6 +217,25 @@ def _check_costs(problem: SequencingProblem) -> None:
         )
 
 
+def _check_round_trip(problem: SequencingProblem) -> None:
+    """Refuse what speaks of first and last where a sequence goes round and round."""
+    if not problem.closed or problem.start is not None or problem.n_clusters < 2:
+        return
+    if problem.end is not None:
+        raise InvalidInputError(
+            f"{problem.names[problem.end]} is the end of a closed sequence without start, which goes round and round "
+            "and ends nowhere: give start too, or closed=False to end there, or leave end out"
+        )
+    if problem.before:
+        i, j = problem.before[0]
+        more = f" ({len(problem.before)} such pairs)" if len(problem.before) > 1 else ""
+        raise InvalidInputError(
+            f"before asks for {problem.names[i]} before {problem.names[j]}{more}, but a closed sequence without start "
+            "goes round and round, and each comes before the other: give start, the cluster from which to count, or "
+            "closed=False"
+        )
+
+
 def _check_order(problem: SequencingProblem) -> None:
     n = problem.n_clusters
     for what, value in (("start", problem.start), ("end", problem.end)):
@@ -229,11 +248,7 @@ def _check_order(problem: SequencingProblem) -> None:
     for i, j in problem.before:
         if not (0 <= i < n and 0 <= j < n):
             raise InvalidInputError(f"before has the pair ({i}, {j}), but there are clusters 0 to {n - 1}")
-    if (problem.before or problem.end is not None) and problem.closed and problem.start is None and n > 1:
-        raise InvalidInputError(
-            "a closed sequence without start has no first task, so nothing comes before anything: give start, or "
-            "closed=False"
-        )
+    _check_round_trip(problem)
     loop = _first_loop(problem)
     if loop:
         raise InvalidInputError(

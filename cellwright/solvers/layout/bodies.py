@@ -11,6 +11,9 @@ from cellwright.arrays import FloatArray, IntArray
 from cellwright.cell.serial_arm import SerialArm
 from cellwright.errors import InvalidInputError
 
+ROBOT_BASE, TOOL = "robot base", "the tool"
+"""What messages call the two ends of a robot."""
+
 
 def frozen(values: FloatArray | list[float] | tuple[float, ...], shape: tuple[int, ...], what: str) -> FloatArray:
     """Return a read-only copy; -1 in ``shape`` stands for any number.
@@ -60,12 +63,14 @@ class RobotSpheres:
         centres: (m, 3) in m.
         radii: (m,) in m.
         self_pairs: Rows of two spheres that must keep clear of each other, (p, 2).
+        body: What each sphere stands for, as a person calls it; the URDF link behind its joint if left out.
     """
 
     link: IntArray = field(default_factory=lambda: np.zeros(0, np.int64))
     centres: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
     radii: FloatArray = field(default_factory=lambda: np.zeros(0))
     self_pairs: IntArray = field(default_factory=lambda: np.zeros((0, 2), np.int64))
+    body: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         """Check and freeze.
@@ -82,6 +87,8 @@ class RobotSpheres:
             raise InvalidInputError(f"the robot has {n} sphere centres and links {link.shape}: give one link a sphere")
         if len(pairs) and (pairs.min() < 0 or pairs.max() >= n):
             raise InvalidInputError(f"a pair for self-collision names sphere {pairs.max()}, but there are {n}")
+        if self.body and len(self.body) != n:
+            raise InvalidInputError(f"{len(self.body)} bodies are named for {n} spheres: name one a sphere, or none")
         link.flags.writeable = pairs.flags.writeable = False
         object.__setattr__(self, "link", link)
         object.__setattr__(self, "self_pairs", pairs)
@@ -89,6 +96,11 @@ class RobotSpheres:
     def __len__(self) -> int:
         """The number of spheres."""
         return len(self.radii)
+
+
+def link_name(link: str) -> str:
+    """Return what messages call a URDF link."""
+    return f"link {link!r}"
 
 
 def end_effector_point(
@@ -99,13 +111,14 @@ def end_effector_point(
     With ``base_radius_m`` a sphere before it, half its radius above the base, keeps the base free.
     """
     T = arm.T_last_flange if T_flange_tool is None else arm.T_last_flange @ T_flange_tool
-    tool = RobotSpheres(np.array([arm.n_joints]), T[None, :3, 3], np.array([radius_m]))
+    tool = RobotSpheres(np.array([arm.n_joints]), T[None, :3, 3], np.array([radius_m]), body=(TOOL,))
     if base_radius_m == 0.0:
         return tool
     return RobotSpheres(
         np.concatenate([[0], tool.link]),
         np.concatenate([[[0.0, 0.0, 0.5 * base_radius_m]], tool.centres]),
         np.concatenate([[base_radius_m], tool.radii]),
+        body=(ROBOT_BASE, TOOL),
     )
 
 

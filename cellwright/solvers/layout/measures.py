@@ -15,6 +15,7 @@ import numpy as np
 from cellwright.arrays import FloatArray
 from cellwright.cell.transforms import inverse
 from cellwright.solvers.layout.approach import Followed, follow_approach, target_error
+from cellwright.solvers.layout.bodies import ROBOT_BASE, link_name
 from cellwright.solvers.layout.geometry import LayoutGap, LayoutGeometry
 from cellwright.solvers.layout.mesh import Mesh
 from cellwright.solvers.layout.problem import LayoutProblem
@@ -197,11 +198,7 @@ def touching_bodies(geometry: LayoutGeometry, design: FloatArray, q: FloatArray,
     """Return the names of the two bodies with the smallest gap at a configuration (joints,)."""
     problem = geometry.problem
     robot = geometry.robot_world(problem.base_pose(design), q[None])
-    links = problem.robot_spheres.link
-
-    def link_name(sphere: int) -> str:
-        return f"the link behind {problem.arm.joint_names[links[sphere] - 1]!r}" if links[sphere] else "robot base"
-
+    bodies = robot_bodies(problem)
     options: list[tuple[float, tuple[str, str]]] = []
     hull = geometry.hull_gaps(robot, geometry.hull_world(design))[0]
     hull[:, geometry.hull_station == own] = np.inf
@@ -211,12 +208,22 @@ def touching_bodies(geometry: LayoutGeometry, design: FloatArray, q: FloatArray,
     ):
         if gaps.size:
             one, other = np.unravel_index(int(np.argmin(gaps)), gaps.shape)
-            options.append((float(gaps[one, other]), (link_name(int(geometry.moving_spheres[one])), names[other])))
+            options.append((float(gaps[one, other]), (bodies[geometry.moving_spheres[one]], names[other])))
     if len(problem.robot_spheres.self_pairs):
         gaps = geometry.self_gaps(robot)[0]
         one, other = problem.robot_spheres.self_pairs[int(np.argmin(gaps))].tolist()
-        options.append((float(gaps.min()), (link_name(one), link_name(other))))
+        options.append((float(gaps.min()), (bodies[one], bodies[other])))
     return min(options)[1]
+
+
+def robot_bodies(problem: LayoutProblem) -> list[str]:
+    """Return what each sphere of the robot stands for: its base, a URDF link, or the tool."""
+    arm, spheres = problem.arm, problem.robot_spheres
+    if spheres.body:
+        return list(spheres.body)
+    path = arm.tree.path(arm.base_link, arm.flange_link)
+    behind = {joint.name: joint.child for joint in path}
+    return [link_name(behind[arm.joint_names[link - 1]]) if link else ROBOT_BASE for link in spheres.link.tolist()]
 
 
 def _endpoints(problem: LayoutProblem, design: FloatArray, transitions: Sequence[Transition]) -> tuple[Worst, Worst]:

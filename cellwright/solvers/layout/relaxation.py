@@ -17,9 +17,10 @@ from cellwright.errors import InfeasibleError, listed
 from cellwright.solvers.layout.approach import target_error
 from cellwright.solvers.layout.checks import all_layout_checks, missing_checks, samples_of
 from cellwright.solvers.layout.geometry import LayoutGeometry
-from cellwright.solvers.layout.measures import touching_bodies
+from cellwright.solvers.layout.measures import robot_bodies, touching_bodies
 from cellwright.solvers.layout.mesh import Checks, Mesh, build_mesh
 from cellwright.solvers.layout.nlp import Indices, LayoutPoint, build_layout_nlp, run_layout_nlp
+from cellwright.solvers.layout.problem import LayoutProblem
 from cellwright.solvers.layout.program_checks import add_checks
 from cellwright.solvers.layout.solution import ITSELF, Finding
 from cellwright.solvers.layout.start import start_points
@@ -143,9 +144,9 @@ def _pushed_apart(symbols: LayoutSymbols, design: FloatArray, start: FloatArray)
     return np.asarray(compiled.solve(x0).x[moved])
 
 
-def _itself_or_other(one: str, other: str) -> str:
+def _itself_or_other(problem: LayoutProblem, one: str, other: str) -> str:
     """Return what a robot touches: `ITSELF` and its two parts, or the other body and with what."""
-    if other == "robot base" or other.startswith("the link behind"):
+    if other in robot_bodies(problem):
         return f"{ITSELF}, {one} and {other}"
     return f"{other} with {one}"
 
@@ -187,7 +188,7 @@ def _measured(geometry: LayoutGeometry, mesh: Mesh, point: LayoutPoint) -> Relax
         gaps = geometry.motion_gap(point.design, q, own)
         if -float(gaps.min()) > _WORTH_NAMING:
             touching = touching_bodies(geometry, point.design, q[int(np.argmin(gaps))], own)
-            what = f"the robot at {problem.visit_name(visit)} touches {_itself_or_other(*touching)}"
+            what = f"the robot at {problem.visit_name(visit)} touches {_itself_or_other(problem, *touching)}"
             findings.append(Finding(what, -float(gaps.min()), "m"))
     findings += [
         Finding(f"{gap.first} and {gap.second} overlap", -gap.gap_m, "m")

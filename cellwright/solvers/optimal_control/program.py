@@ -256,8 +256,16 @@ class MotionProgram:
             square = (casadi.sumsqr(w0) + 4.0 * square + casadi.sumsqr(w1)) / 6.0
             z, index = [*z, w0, w1], [*index, at.w[:-1], at.w[1:]]
         rate = weights.time + weights.effort * casadi.sumsqr(scale * u) + weights.velocity * square
+        if self.max_acceleration is not None:
+            rate += SMOOTHING * weights.time * self._mean_acceleration_square(v, w0, w1, T / steps)
         cost = LocalFunction("cost", casadi.vertcat(*z), none, T / steps * rate)
         program.add_cost(cost, np.hstack(index), np.zeros((steps, 0)), 1.0)
+
+    def _mean_acceleration_square(self, v: Any, w0: Any, w1: Any, h: Any) -> Any:
+        """Return the mean over a step of the curve's squared accelerations, each as a share of its limit."""
+        most = casadi.DM(self.max_acceleration)
+        begin, end = (6.0 * v - 4.0 * w0 - 2.0 * w1) / h / most, (-6.0 * v + 2.0 * w0 + 4.0 * w1) / h / most
+        return (casadi.sumsqr(begin) + casadi.dot(begin, end) + casadi.sumsqr(end)) / 3.0
 
     def solve(
         self,
@@ -334,6 +342,10 @@ class MotionProgram:
 
 LARGEST_VIOLATION = 1e-6
 """Residual of an equation, as a share of a torque limit times s (or rad, m), above which a point is no motion."""
+
+SMOOTHING = 0.03
+"""What a joint at its acceleration limit adds to the solver's cost, as a share of that of time, where there are such
+limits: joints that do not decide the duration would else tremble within them, as hardly anything depends on it."""
 
 _STEADY: dict[str, Any] = {"ipopt.mu_strategy": "monotone", "ipopt.mu_init": 0.1}
 """A second try: slower, and seldom led astray by the adaptive barrier."""

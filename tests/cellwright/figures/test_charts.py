@@ -26,10 +26,15 @@ def share(png: bytes, colour: tuple[int, int, int], off: int = 6) -> float:
     return float((np.abs(pixels(png) - colour).max(axis=-1) <= off).mean())
 
 
-def plan(joints: tuple[str, ...] = ("pan", "lift"), segments: Any = ((0.0, 1.0, False), (1.0, 2.0, True))) -> bytes:
+def plan(
+    joints: tuple[str, ...] = ("pan", "lift"),
+    segments: Any = ((0.0, 1.0, False), (1.0, 2.0, True)),
+    **torques: AnyArray,
+) -> bytes:
     time = np.linspace(0, 2, 50)
     position = np.stack([np.sin(time + row) for row in range(len(joints))], axis=1)
-    return plan_chart(time, position, np.gradient(position, time, axis=0), np.full(len(joints), 2.0), joints, segments)
+    velocity = np.gradient(position, time, axis=0)
+    return plan_chart(time, position, velocity, np.full(len(joints), 2.0), joints, segments, **torques)
 
 
 def test_the_histogram_shows_bars_and_the_permitted_limit() -> None:
@@ -52,6 +57,25 @@ def test_sweeps_stand_on_coloured_ground() -> None:
     whole = share(plan(segments=((0.0, 2.0, True),)), GREEN, 2)
     assert none == 0
     assert whole / 2 == pytest.approx(half, rel=0.1)
+
+
+def test_torques_stand_in_a_further_panel_as_shares_of_their_limits() -> None:
+    torque, limits = np.outer(np.linspace(0.0, 40.0, 50), [1.0, -0.5]), np.array([50.0, 25.0])
+    told = plan(torque=torque, max_torque=limits)
+    assert pixels(told).shape == (924, 1320, 3)
+    assert share(told, RED) == pytest.approx(4 / 3 * share(plan(), RED), rel=0.1), "each panel has its line of limits"
+    assert plan(torque=2 * torque, max_torque=2 * limits) == told
+    assert plan(torque=np.zeros((50, 0)), max_torque=limits) == plan()
+
+
+def test_torques_above_their_limits_are_seen_above_the_line() -> None:
+    torque, limits = np.outer(np.linspace(0.0, 40.0, 50), [1.0, -0.5]), np.array([50.0, 25.0])
+    rows = []
+    for factor in (1, 5):
+        red = np.abs(pixels(plan(torque=factor * torque, max_torque=limits)) - RED).max(axis=-1) <= 60
+        rows.append(np.flatnonzero(red.sum(axis=1) > 1000))
+    assert rows[0][0] == rows[1][0], "the speeds' line stays"
+    assert rows[1][-1] > rows[0][-1] + 150, "four times its limit needs the room above it"
 
 
 @pytest.mark.parametrize("names", [("_hidden", "$x$"), ("$", "a_b^c"), ("\\frac", "%d")])

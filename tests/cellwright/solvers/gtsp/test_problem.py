@@ -67,7 +67,12 @@ def test_something_before_the_start_is_a_contradiction():
         ({"start": 5}, "start is cluster 5"),
         ({"start": 1, "end": 1}, "both start and end"),
         ({"before": ((0, 9),)}, r"pair \(0, 9\)"),
-        ({"before": ((0, 1),)}, "closed sequence without start"),
+        (
+            {"before": ((0, 1),)},
+            "before asks for cluster 0 before cluster 1, but .* give start, the cluster from which",
+        ),
+        ({"before": ((0, 1), (0, 1))}, r"cluster 0 before cluster 1 \(2 such pairs\), but a closed sequence without"),
+        ({"end": 1}, "cluster 1 is the end of a closed sequence without start, .* give start too, or closed=False"),
         ({"names": ("a",)}, "1 names for 2"),
         ({"cost": [["a", 1], [1, 2]]}, "not made of numbers"),
     ],

@@ -64,7 +64,7 @@ def test_a_straight_way_through_the_post_is_found(solution: LayoutSolution) -> N
     assert not report.passed
     assert report.path_violation_m == pytest.approx(0.17, abs=0.01)
     assert "post" in report.blocking
-    assert "reach" in report.blocking
+    assert "link 'beam' enters post" in report.blocking
 
 
 def test_speeds_above_the_limit_are_found(solution: LayoutSolution) -> None:

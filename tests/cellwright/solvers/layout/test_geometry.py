@@ -3,11 +3,14 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cellwright.cell.harness import DesignJoint, Harness, X, Y, Z
+from cellwright.errors import InvalidInputError
 from cellwright.solvers.layout.geometry import LayoutGeometry
+from cellwright.solvers.layout.measures import robot_bodies, touching_bodies
 from cellwright.solvers.layout.problem import RobotSpheres, Spheres, Wall
 from tests.cellwright.solvers.small_layouts import two_stations
 
@@ -116,3 +119,23 @@ def test_the_worst_gap_has_names() -> None:
     worst = geometry.worst_layout_gaps(np.array([0.0, 0.8, 0.1, 0.8]))[0]
     assert {worst.first, worst.second} == {"station 1", "station 2"}
     assert worst.gap_m < 0.0
+
+
+def test_what_touches_is_named_as_the_urdf_names_it_or_as_the_spheres_do() -> None:
+    geometry = crowded()
+    problem = geometry.problem
+    design = problem.lower
+    expected = ["robot base", "link 'turret'", "link 'beam'"]
+    assert robot_bodies(problem) == expected
+    tool = replace(problem.robot_spheres, body=("robot base", "the turret", "the tool"))
+    named = LayoutGeometry(replace(problem, robot_spheres=tool))
+    rng = np.random.default_rng(0)
+    for q in rng.uniform(problem.arm.lower, problem.arm.upper, (20, problem.arm.n_joints)):
+        (one, other), (also, beside) = (touching_bodies(each, design, q, -1) for each in (geometry, named))
+        assert tool.body[expected.index(one)] == also
+        assert tool.body[expected.index(other)] == beside if other in expected else other == beside
+
+
+def test_names_of_bodies_are_one_a_sphere() -> None:
+    with pytest.raises(InvalidInputError, match="2 bodies are named for 1 spheres"):
+        RobotSpheres(np.array([1]), np.zeros((1, 3)), np.ones(1), body=("a", "b"))

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from cellwright.cell.built_in_robots import built_in_arm
 from cellwright.cell.scene import Scene
 from cellwright.cell.serial_arm import SerialArm
 from cellwright.cell.symbolic_dynamics import symbolic_dynamics
@@ -21,6 +22,8 @@ from cellwright.solvers.optimal_control.joining import (
 )
 from cellwright.solvers.optimal_control.measures import measure
 from cellwright.solvers.optimal_control.program import CostWeights, MotionProgram
+from cellwright.solvers.optimal_control.settled_motion import settle
+from cellwright.solvers.optimal_control.starts import straight_start
 from cellwright.solvers.path_timing import Limits, least_time
 from tests.cellwright.solvers.optimal_control.planar_arm import GOAL, START, planar_cell, planar_path
 
@@ -54,6 +57,23 @@ def state(q, v) -> MovingState:
 
 
 A, B = state([-1.5, 0.5], [0.4, -0.3]), state([-2.4, 1.2], [-0.2, 0.5])
+
+
+def test_joints_that_do_not_decide_the_duration_move_smoothly():
+    dynamics = symbolic_dynamics(built_in_arm("ur10e"))
+    program = MotionProgram(
+        dynamics, CostWeights(1.0, 1e-6, 0.01), n_steps=16, max_acceleration=np.full(6, 10.0), reserve=(0.005, 0.05)
+    )
+    a, b = np.radians([0.0, -110.0, 80.0, -60.0, -90.0, 0.0]), np.radians([-90.0, -112.0, 110.0, -20.0, -40.0, -60.0])
+    found = settle(program, straight_start(program, a, b))
+    assert found.converged
+    speeds = found.curve.motion.velocity / dynamics.max_velocity
+    once = 2.0 * (speeds.max(axis=0) - speeds.min(axis=0))  # up and down again
+    assert np.all(np.abs(np.diff(speeds, axis=0)).sum(axis=0) <= once + 0.1)
+    free = MotionProgram(dynamics, CostWeights(1.0, 1e-6, 0.01), n_steps=16)
+    assert found.curve.cost == pytest.approx(
+        measure(dynamics, free.weights, free.max_effort, found.curve.motion).cost, rel=1e-3
+    ), "smoothness is no part of what a motion is said to cost"
 
 
 def test_a_motion_begins_and_ends_with_the_velocities_that_it_joins():
