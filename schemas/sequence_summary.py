@@ -46,8 +46,8 @@ SEQUENCE_METRICS = frozenset(
         "weighted_strokes",
         "weighted_holding",
         "weighted_time",
-        "weighted_effort",
-        "weighted_velocity",
+        "weighted_torque",
+        "weighted_speed",
         "torque_share",
         "acceleration_share",
     }
@@ -134,7 +134,7 @@ def _gap(cost: float, bound: float) -> float:
 
 def _weighted(sequence: TaskSequence) -> dict[str, Any]:
     """Return what the sequence costs in time, torque and speed, and where; none where dynamics do not count."""
-    time, effort, velocity = sequence.weight_time, sequence.weight_effort, sequence.weight_velocity
+    time, effort, velocity = sequence.weight_time, sequence.weight_torque, sequence.weight_speed
     if time <= 0.0:
         return {}
     motion = np.array([kind == MOTION for kind in sequence.kind], bool)
@@ -155,8 +155,8 @@ def _weighted(sequence: TaskSequence) -> dict[str, Any]:
         "weighted_strokes": max(0.0, work - holding),
         "weighted_holding": holding,
         "weighted_time": float(parts[0].sum()),
-        "weighted_effort": float(parts[1].sum()),
-        "weighted_velocity": float(parts[2].sum()),
+        "weighted_torque": float(parts[1].sum()),
+        "weighted_speed": float(parts[2].sum()),
         "torque_share": sequence.torque_share,
     }
 

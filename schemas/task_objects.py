@@ -182,8 +182,8 @@ def _prices(
         "speed_squared_rad2_s": squares[:, 1],
         "holding_n2m2s": holding,
         "weight_time": weights[0],
-        "weight_effort": weights[1],
-        "weight_velocity": weights[2],
+        "weight_torque": weights[1],
+        "weight_speed": weights[2],
         "torque_share": share,
     }
 

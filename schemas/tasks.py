@@ -110,8 +110,8 @@ class TaskSequence(Artefact):
     n_evaluated: int = fact("Motions planned until the sequence was known", dtype="int64")
     n_motions: int = fact("Motions that there are between alternatives", dtype="int64")
     weight_time: float = fact("What a second costs where dynamics count, else 0", unit="1/s")
-    weight_effort: float = fact("What squared torques cost", unit="1/(N^2 m^2 s)")
-    weight_velocity: float = fact("What squared speeds cost", unit="s/rad^2")
+    weight_torque: float = fact("What squared torques cost", unit="1/(N^2 m^2 s)")
+    weight_speed: float = fact("What squared speeds cost", unit="s/rad^2")
     torque_share: float = fact("Largest torque as a share of its limit where dynamics count, else 0")
     likely_bound: float = fact(
         "No sequence costs less if no motion is cheaper than ``least_ratio`` of its guess; not a number where the cost "

@@ -184,8 +184,8 @@ def _price_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
         "weighted_strokes": "strokes to and from tasks",
         "weighted_holding": "holding still at tasks",
         "weighted_time": "of all: time",
-        "weighted_effort": "of all: squared torque",
-        "weighted_velocity": "of all: squared speed",
+        "weighted_torque": "of all: squared torque",
+        "weighted_speed": "of all: squared speed",
     }
     rows = [(label, f"{summary[name]:.2f}") for name, label in words.items()]
     fast = acceleration_words(summary)

@@ -182,7 +182,7 @@ def dynamic(**changes):
 def weighted(plan) -> float:
     lengths = plan.end_s - plan.start_s
     effort, velocity = plan.torque_squared_n2m2s.sum(), plan.speed_squared_rad2_s.sum()
-    return plan.weight_time * lengths.sum() + plan.weight_effort * effort + plan.weight_velocity * velocity
+    return plan.weight_time * lengths.sum() + plan.weight_torque * effort + plan.weight_speed * velocity
 
 
 @cache

@@ -26,7 +26,7 @@ FIRST_CYCLE = 2_000
 LONGEST_CYCLE = 128_000
 SLICE = 2_000
 """Rounds between two questions to ``stop``."""
-HOT, COLD = 1.0, 0.01
+HOT, COLD = 8.0, 0.005
 """Temperatures of a cycle in units of the mean cost of a way in the best tour."""
 PROMISING = 1.05
 """A round's tour within this factor of the current one gets the best alternatives for its order."""
