@@ -84,8 +84,7 @@ def checked_sequence(path: Path, overrides: Sequence[str], picture: Path | None)
         if picture is not None:
             from tasks.assemble_cell import unchecked_cell
 
-            places = listed.T_world_tool.reshape(-1, 4, 4)[:, :3, 3]
-            _draw(unchecked_cell(sources, request.cell), places, picture)
+            _draw(unchecked_cell(sources, request.cell), listed.T_world_tool.reshape(-1, 4, 4), picture)
         tasks.assemble_cell(sources, params=request.cell)
     except CellwrightError as error:
         raise in_words_of_the_file(error) from error
@@ -108,14 +107,14 @@ def _sequence_lines(file: SequenceFile, n_tasks: int) -> Iterator[tuple[str, str
     yield "seed", str(file.planner.seed)
 
 
-def _draw(cell: Any, places: Any, picture: Path) -> None:
+def _draw(cell: Any, T_world_task: Any, picture: Path) -> None:
     import numpy as np
 
     from cellwright.figures.tool_path import tool_path_picture
     from flows.cell_picture import check_name, write_picture
 
     check_name(picture)
-    write_picture(picture, tool_path_picture(cell, np.empty((0, 3)), places))
+    write_picture(picture, tool_path_picture(cell, np.empty((0, 3)), T_world_task))
 
 
 def checked_layout(path: Path, overrides: Sequence[str], picture: Path | None) -> FileSummary:

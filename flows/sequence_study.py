@@ -29,6 +29,7 @@ _SHOWN = (
     ("duration_s", "cycle, s", ".2f"),
     ("cost", "cost", ".2f"),
     ("lower_bound", "bound", ".2f"),
+    ("likely_bound", "likely bound", ".2f"),
     ("motions_planned", "planned", ".0f"),
 )
 _PARTS = (

@@ -209,7 +209,7 @@ def _write(
             contents[name] = layout_study.drawn(study, figure, rows)
             continue
         contents[name] = study_chart(
-            rows if study.flow == "layout" else [row for row in rows if not row["error"]],
+            rows,
             study.published,
             axes,
             title=figure.title,

@@ -54,7 +54,7 @@ def sequence_template_digest() -> str:
     return hashlib.sha256(f"{_template()}\n{json.dumps(drawn_by, sort_keys=True)}".encode()).hexdigest()
 
 
-@stage(version=5)
+@stage(version=6)
 def write_sequence_report(
     cell: CellModel,
     tasks: TaskList,
@@ -76,10 +76,12 @@ def write_sequence_report(
     built = build_cell(cell)
     chain = built.robot.chain
     flange = built.T_world_base @ link_poses_of(chain, sequence.position_rad)[:, -1] @ chain.T_last_flange
-    places = tasks.T_world_tool.reshape(-1, 4, 4)[sequence.task, :3, 3]
-    path_png = tool_path_picture(built, (flange @ built.T_flange_scanner)[:, :3, 3], places)
+    T_world_task = tasks.T_world_tool.reshape(-1, 4, 4)[sequence.task]
+    path_png = tool_path_picture(built, (flange @ built.T_flange_scanner)[:, :3, 3], T_world_task)
     costs = dict(zip(sequence.order, sequence.order_cost.tolist(), strict=True))
-    orders_png = orders_chart(costs, _parts(summary), sequence.lower_bound, sequence.unit, cost_label(summary))
+    orders_png = orders_chart(
+        costs, _parts(summary), sequence.lower_bound, sequence.unit, cost_label(summary), sequence.likely_bound
+    )
     segments = [
         (float(begin), float(end), kind != "motion")
         for begin, end, kind in zip(sequence.start_s, sequence.end_s, sequence.kind, strict=True)

@@ -60,7 +60,7 @@ def cell_picture(cell: Cell, scanner: Scanner, robot_is: str = "at its start") -
     fan = apply(layout.T_world_scanner, laser_fan(scanner))
     figure = Figure(figsize=(12.0, 10.4), dpi=110)
     FigureCanvasAgg(figure)
-    shown, _ = draw_overview(figure.add_axes((0.16, 0.435, 0.68, 0.555)), layout, fan, cell.robot.name)
+    shown, _, _ = draw_overview(figure.add_axes((0.16, 0.435, 0.68, 0.555)), layout, fan, cell.robot.name)
     shown |= _from_above(figure.add_axes((0.06, 0.075, 0.41, 0.32)), layout, fan, shown)
     _close_up(figure.add_axes((0.54, 0.075, 0.41, 0.32)), layout, fan, scanner)
     _legend(figure, layout, shown, robot_is)
@@ -82,11 +82,12 @@ def _fitted(points: FloatArray, way: tuple[float, float], pixels: tuple[int, int
 
 def draw_overview(
     axes: Any, layout: Layout, fan: FloatArray | None, robot: str
-) -> tuple[set[str], Callable[[FloatArray], FloatArray]]:
+) -> tuple[set[str], Callable[[FloatArray], FloatArray], FloatArray]:
     """Draw a whole cell from the side that hides least, with or without a laser fan (6, 3).
 
     Returns:
-        The names of the bodies it shows, and what maps points of the world (n, 3) in m into ``axes`` (n, 2).
+        The names of the bodies it shows, what maps points of the world (n, 3) in m into ``axes`` (n, 2), and the unit
+        vector (3,) to the viewer.
     """
     near = layout.solids(large=False)
     middle = layout.frame.mean(axis=0)
@@ -102,7 +103,7 @@ def draw_overview(
     _world_axes(axes, layout, camera, middle)
     _grid_labels(axes, layout, camera, middle)
     named = _labels(axes, layout, seen, camera, robot)
-    return named, lambda points: _project(points, camera, middle)
+    return named, lambda points: _project(points, camera, middle), camera.axes()[2]
 
 
 def _from_above(axes: Any, layout: Layout, fan: FloatArray, known: set[str]) -> set[str]:

@@ -67,7 +67,9 @@ def study_chart(
     if lines:
         handles = [drawn for drawn in first.get_lines() if drawn.get_linestyle() != "None"]
         figure.legend(handles=handles, title=plain_text(lines), loc="outside right upper", frameon=False)
-    figure.suptitle(plain_text(title))
+    n_without = sum(row.get(y) is None for row in rows)
+    missing = f"\n{n_without} of {len(rows)} runs have no {y}" if n_without else ""
+    figure.suptitle(plain_text(title + missing))
     return png_bytes(figure)
 
 

@@ -115,6 +115,21 @@ def cast_pictures(
     return pictures
 
 
+def hidden_points(
+    vertices: FloatArray, faces: IntArray | Int32Array, points: FloatArray, towards: FloatArray
+) -> BoolArray:
+    """Tell which points (n, 3) a mesh hides from a viewer far away ``towards`` (3,), unit length: (n,)."""
+    import open3d as o3d
+
+    middle = _centre(vertices)
+    scene = o3d.t.geometry.RaycastingScene()
+    scene.add_triangles(
+        o3d.core.Tensor((vertices - middle).astype(np.float32)), o3d.core.Tensor(faces.astype(np.uint32))
+    )
+    rays = np.hstack([points - middle, np.broadcast_to(towards, points.shape)]).astype(np.float32)
+    return np.asarray(scene.test_occlusions(o3d.core.Tensor(rays)).numpy(), bool)
+
+
 def paint(hits: PixelHits, colours: FloatArray) -> FloatArray:
     """Return an RGB picture (height, width, 3), 0 to 1: pixel colours (height, width, 3) shaded, white around."""
     return np.where(hits.hit[..., None], colours * hits.shade[..., None], 1.0)

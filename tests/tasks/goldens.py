@@ -51,7 +51,7 @@ GOLDENS: dict[str, tuple[int, str]] = {
     "sequence_tasks": (5, "5d89c51af580d0ba18a053feab24a5ae38a16a1c7d78572d7dfc2f8db30d259f"),
     "verify_sequence": (3, "d6ef1b63eebc4cbe880bffa5ebfeee146751569f6937772da642b259b1d2d2aa"),
     "record_sequence": (1, "1b53252b5e9fffd9a9cba073901e9ab524ed582f8ae167ce28f85785e227ab99"),
-    "write_sequence_report": (5, "04ef0e96024f87edc21c5f721db20c9883daec5ac3dab64f66c5b285a585b9b9"),
+    "write_sequence_report": (6, "04ef0e96024f87edc21c5f721db20c9883daec5ac3dab64f66c5b285a585b9b9"),
 }
 """Version and digest of every stage, of the artefacts together where a stage is tried on several inputs."""
 

@@ -130,3 +130,8 @@ def test_published_values_stand_beside_ours() -> None:
 def test_a_study_without_any_result_draws_empty_axes() -> None:
     assert pixels(study(rows=[], log=True)).shape[0] > 300
     assert pixels(study(y="coverage")).shape[0] > 300
+
+
+def test_a_study_says_how_many_runs_have_no_value() -> None:
+    failed = {"density": "1", "tilting": "on", "error": "out of reach"}
+    assert study(rows=[*ROWS, failed]) != study(), "the heading counts the run without a value"
