@@ -54,7 +54,7 @@ def test_a_study_prices_sequences_and_keeps_failures_as_rows(
     row, failed = told["rows"]
     parts = [row[f"weighted_{name}"] for name in ("travel", "strokes", "holding")]
     assert sum(parts) == pytest.approx(row["weighted_cost"])
-    whole = [row[f"weighted_{name}"] for name in ("time", "effort", "velocity")]
+    whole = [row[f"weighted_{name}"] for name in ("time", "torque", "speed")]
     assert sum(whole) == pytest.approx(row["weighted_cost"]) and row["weighted_time"] == pytest.approx(
         row["duration_s"]
     )
