@@ -61,7 +61,7 @@ class SweepSequenceParams(Params):
     )
 
 
-@stage(version=3)
+@stage(version=4)
 def sequence_sweeps(
     cell: CellModel,
     mesh: PartMesh,

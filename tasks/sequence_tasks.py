@@ -94,7 +94,7 @@ class SequenceParams(Params):
         return self.dynamics is not None or self.optimal_motions
 
 
-@stage(version=5)
+@stage(version=6)
 def sequence_tasks(
     cell: CellModel,
     tasks: TaskList,

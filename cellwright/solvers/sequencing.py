@@ -66,7 +66,8 @@ def solve_sequence(
         n_rounds: Rounds of search in each chain at most.
         max_work: Sums and comparisons for proof and bound; a default for the method if left out.
         memory: Bytes that the states of dynamic programming may take.
-        stop: Ends the work early when it returns true, for example after a time; asked a few times a second.
+        stop: Ends the work early when it returns true, for example after a time; asked between steps,
+            of which the longest takes a second or two.
         stop_bounds: Ends work on proof and bounds; what ``stop`` leaves goes into search. Without it a slow machine
             may spend on bounds what the sequence would have gained more by.
         known: Sequences of alternatives to start from.

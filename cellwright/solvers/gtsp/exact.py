@@ -59,7 +59,7 @@ class Proof:
         tour: Best known tour of nodes in the form.
         cost: Its cost.
         bound: No tour costs less.
-        stopped_by: ``proof``, ``work``, ``memory`` or ``stop``.
+        stopped_by: ``proof``, ``work``, ``memory``, ``stop``, or ``cheaper`` if that was asked for.
         n_states: States of dynamic programming made.
         work: Sums and comparisons done.
         multiplier: Prices of the clusters but the depot at the best bound, to start a similar problem from.
@@ -159,7 +159,9 @@ def _prove_each(
                 else:
                     closed.append(problem.bound)
         left = remaining
-        if not left or limits.stopped_by or proof.cost < limits.wanted:
+        if left and not limits.stopped_by and proof.cost < limits.wanted:
+            limits.stopped_by = "cheaper"
+        if not left or limits.stopped_by:
             break
     proof.bound = max(proof.bound, min([proof.cost, *closed, *(problem.bound for problem, _ in left)]))
     if left:
@@ -258,6 +260,7 @@ def _all_states(form: TourForm, problem: Bounding, depot: int, proof: Proof, mos
 
     A cheaper tour that it finds goes into ``proof``. The bound is infinite if no further one can be cheaper.
     """
+    begun = problem.work
     walks = Walks(problem)
     walks.solve(problem.multiplier)
     least_within(walks.rest)
@@ -276,7 +279,7 @@ def _all_states(form: TourForm, problem: Bounding, depot: int, proof: Proof, mos
     layers = [(node, np.zeros(len(node), np.int32))]
     bound = ceiling
     for place in range(2, n + 1):
-        if limits.spent(proof.work + problem.work):
+        if limits.spent(proof.work + problem.work - begun):
             return -np.inf
         dropped, subset, node, value, parent = next_layer(
             subset, node, value, *ways, owner, problem.first, price, subset_needs(problem), problem.usable[place],

@@ -28,6 +28,10 @@ TSPLIB_PI = 3.141592
 """The value of pi that TSPLIB's GEO distances use."""
 
 
+MOST_NUMBER = 1e15
+"""Greatest coordinate or weight: distances and sums of such numbers keep their whole digits' sense."""
+
+
 @dataclass(frozen=True)
 class _Word:
     text: str
@@ -54,8 +58,8 @@ class _File:
 
     def count(self, key: str) -> int:
         text = self.field(key)
-        if not re.fullmatch(r"\d+", text) or int(text) < 1:
-            self.fail(self.fields[key].line, f"{key} is {text!r}: give a whole number of at least 1")
+        if not re.fullmatch(r"[0-9]{1,12}", text) or int(text) < 1:
+            self.fail(self.fields[key].line, f"{key} is {text[:40]!r}: give a whole number of at least 1")
         return int(text)
 
     def section(self, key: str) -> list[_Word]:
@@ -68,13 +72,13 @@ class _File:
             value = float(word.text)
         except ValueError:
             self.fail(word.line, f"{section} has {word.text!r}: give a number")
-        if not np.isfinite(value):
-            self.fail(word.line, f"{section} has {word.text!r}: give a finite number")
+        if not abs(value) <= MOST_NUMBER:
+            self.fail(word.line, f"{section} has {word.text[:40]!r}: give a number of at most {MOST_NUMBER:g}")
         return value
 
     def whole(self, word: _Word, section: str) -> int:
-        if not re.fullmatch(r"[+-]?\d+", word.text):
-            self.fail(word.line, f"{section} has {word.text!r}: give a whole number")
+        if not re.fullmatch(r"[+-]?[0-9]{1,12}", word.text):
+            self.fail(word.line, f"{section} has {word.text[:40]!r}: give a whole number")
         return int(word.text)
 
 
@@ -222,10 +226,12 @@ def _matrix(file: _File, n: int, *, gaps: bool) -> FloatArray:
         values = np.array([word.text for word in words], np.float64)
     except ValueError:
         values = np.array([file.number(word, section) for word in words])
-    wrong = np.flatnonzero(~np.isfinite(values) | ((values < 0) & ~(gaps & (values == -1.0))))
+    wrong = np.flatnonzero(~(values <= MOST_NUMBER) | ((values < 0) & ~(gaps & (values == -1.0))))
     if len(wrong):
         word = words[int(wrong[0])]
-        file.fail(word.line, f"{section} has {word.text!r}: give finite numbers of at least 0")
+        file.fail(
+            word.line, f"{section} has {word.text[:40]!r}: give numbers of at least 0 and at most {MOST_NUMBER:g}"
+        )
     values[values < 0] = np.inf
     if shape == "FULL_MATRIX":
         return values.reshape(n, n)

@@ -245,7 +245,7 @@ class _Lazy:
             stop=self.stop,
             multiplier=self.multiplier,
             n_threads=self.n_threads,
-            until_cheaper=True,
+            until_cheaper=not self._spent(),  # what ends with a cheaper one has not done all it can for the bound
         )
         self.n_proofs, self.n_states = self.n_proofs + 1, self.n_states + proof.n_states
         if proof.multiplier.any():

@@ -21,6 +21,10 @@ Stop = Callable[[], bool]
 """Asked between rounds of work; true ends the work early. A time limit is one: the library itself reads no clock."""
 
 
+MOST_COST = 1e100
+"""Greatest finite cost: sums and squares of smaller ones stay finite."""
+
+
 @dataclass(frozen=True, eq=False)
 class SequencingProblem:
     """Clusters of alternatives and the costs between them.
@@ -209,11 +213,19 @@ def _check_costs(problem: SequencingProblem) -> None:
                 f"cost from alternative {a} ({problem.names[owner[a]]}) to {b} ({problem.names[owner[b]]}) is "
                 f"{problem.cost[a, b]}, {what} ({len(rows)} such entries): {mend}"
             )
-    bad = np.flatnonzero(~np.isfinite(problem.service) | (problem.service < 0))
+    large = np.argwhere(np.isfinite(problem.cost) & (problem.cost > MOST_COST) & between)
+    if len(large):
+        a, b = large[0].tolist()
+        raise InvalidInputError(
+            f"cost from alternative {a} ({problem.names[owner[a]]}) to {b} ({problem.names[owner[b]]}) is "
+            f"{problem.cost[a, b]:g}, above {MOST_COST:g}: sums of such costs lose their digits; give costs in a larger "
+            "unit, or infinity where there is no way"
+        )
+    bad = np.flatnonzero(~np.isfinite(problem.service) | (problem.service < 0) | (problem.service > MOST_COST))
     if len(bad):
         raise InvalidInputError(
             f"service cost of alternative {bad[0]} ({problem.names[owner[bad[0]]]}) is {problem.service[bad[0]]} "
-            f"({len(bad)} such entries): give finite costs of at least 0, and leave impossible alternatives out"
+            f"({len(bad)} such entries): give costs of at least 0 and at most {MOST_COST:g}, and leave impossible alternatives out"
         )
 
 

@@ -344,7 +344,7 @@ LARGEST_VIOLATION = 1e-6
 """Residual of an equation, as a share of a torque limit times s (or rad, m), above which a point is no motion."""
 
 SMOOTHING = 0.03
-"""What a joint at its acceleration limit adds to the solver's cost, as a share of that of time, where there are such
+"""What each joint at its acceleration limit adds to the solver's cost, as a share of that of time, where there are such
 limits: joints that do not decide the duration would else tremble within them, as hardly anything depends on it."""
 
 _STEADY: dict[str, Any] = {"ipopt.mu_strategy": "monotone", "ipopt.mu_init": 0.1}

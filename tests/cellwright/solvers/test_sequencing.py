@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cellwright.errors import InfeasibleError, InvalidInputError
-from cellwright.solvers.gtsp.bounds import bounding, raise_bound, remember_nearest, shrink
+from cellwright.solvers.gtsp.bounds import Walks, bounding, raise_bound, remember_cycles, remember_nearest, shrink
 from cellwright.solvers.gtsp.exact import prove
 from cellwright.solvers.gtsp.form import tour_form
 from cellwright.solvers.gtsp.gtsplib import read_gtsplib
@@ -113,8 +113,44 @@ def test_bounds_stay_below_the_optimum_also_after_shrinking(seed, kind, n_bits):
     for _ in range(3):
         remember_nearest(relaxed, n_bits)
         raise_bound(relaxed, ceiling, np.inf, 30)
+        remember_cycles(relaxed, n_bits + 2)
+        raise_bound(relaxed, ceiling, np.inf, 10)
         assert relaxed.bound <= optimum + 1e-7
         assert shrink(relaxed, ceiling)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_memories_learn_from_cycles_until_the_bound_has_risen(seed):
+    form = tour_form(robot_problem(seed, [4] * 10, closed=False)[0])
+    upper = TourSearch(form, rng(seed)).run(500).cost
+    relaxed = bounding(form, np.array([0], np.int32))
+    raise_bound(relaxed, upper, np.inf, 60)
+    before, walk = relaxed.bound, relaxed.walk.tolist()
+    assert len(set(walk)) < len(walk), "the cheapest walk comes back to a cluster"
+    for _ in range(12):
+        if not remember_cycles(relaxed, 5):
+            break
+        least, _ = Walks(relaxed).solve(relaxed.multiplier)
+        assert least >= relaxed.bound - 1e-9 * upper, "at the same prices more memory never lowers it"
+        raise_bound(relaxed, upper, np.inf, 15, length=0.2)
+    assert before + 1e-6 * upper < relaxed.bound <= upper * (1.0 + 1e-9)
+
+
+@given(seed=st.integers(0, 2**32 - 1), kind=st.sampled_from(KINDS))
+@settings(max_examples=30, deadline=None)
+def test_a_proof_until_something_cheaper_finds_that_or_is_a_whole_one(seed, kind):
+    problem = small_problem(seed, kind)
+    if problem.n_clusters == 1:
+        return
+    form, optimum = tour_form(problem), brute_force(problem)
+    order = [0, *(1 + np.argsort(form.earlier[1:, 1:].sum(axis=0), kind="stable"))]
+    start = np.array(form.first[:-1], np.int32)[order]
+    proof = prove(form, start, max_work=1e9, memory=1 << 26, until_cheaper=True)
+    assert proof.bound <= optimum + 1e-7
+    if proof.stopped_by == "cheaper":
+        assert proof.cost < form.tour_cost(start)
+    else:
+        assert proof.stopped_by == "proof" and proof.cost == pytest.approx(optimum, abs=1e-7)
 
 
 def test_alternatives_of_a_fixed_order_are_the_best_ones():

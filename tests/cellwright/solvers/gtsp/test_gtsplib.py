@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import itertools
+import re
 from pathlib import Path
 
 import numpy as np
@@ -205,3 +206,31 @@ def test_public_files_are_read_whole(name, n, m):
     assert (problem.n_clusters, problem.n_alternatives) == (n, m)
     again = parse_gtsplib(format_gtsplib(problem))
     assert np.array_equal(again.cost, problem.cost)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("DIMENSION : 4", f"DIMENSION : {'9' * 5000}", "DIMENSION is '999"),
+        ("1 1 2 -1", f"1 {'1' * 5000} 2 -1", "GTSP_SET_SECTION has '111"),
+        ("9 9", "9 1e308", "EDGE_WEIGHT_SECTION has '1e308': give numbers of at least 0 and at most 1e"),
+    ],
+    ids=["dimension", "node", "weight"],
+)
+def test_numbers_that_nothing_can_count_with_are_refused(old, new, said):
+    text = (
+        "TYPE : AGTSP\nDIMENSION : 4\nGTSP_SETS : 2\nEDGE_WEIGHT_TYPE : EXPLICIT\nEDGE_WEIGHT_FORMAT : FULL_MATRIX\n"
+        "EDGE_WEIGHT_SECTION\n0 0 9 9\n0 0 9 9\n9 9 0 0\n9 9 0 0\nGTSP_SET_SECTION\n1 1 2 -1\n2 3 4 -1\nEOF\n"
+    )
+    assert parse_gtsplib(text).n_clusters == 2
+    with pytest.raises(InvalidInputError, match=re.escape(said)):
+        parse_gtsplib(text.replace(old, new, 1))
+
+
+def test_coordinates_whose_distances_overflow_are_refused():
+    text = (
+        "TYPE : GTSP\nDIMENSION : 2\nGTSP_SETS : 2\nEDGE_WEIGHT_TYPE : EUC_2D\nNODE_COORD_SECTION\n1 1e200 0\n2 0 0\n"
+        "GTSP_SET_SECTION\n1 1 -1\n2 2 -1\nEOF\n"
+    )
+    with pytest.raises(InvalidInputError, match=r"line 6: NODE_COORD_SECTION has '1e200'"):
+        parse_gtsplib(text)

@@ -105,6 +105,10 @@ def test_a_limit_of_evaluations_leaves_an_honest_gap():
     assert lazy.result.stopped_by in ("evaluations", "proof")
     full = solve_sequence(problem, rng())
     assert lazy.result.lower_bound <= full.cost + 1e-9 <= lazy.result.cost + 2e-9
+    known = SequencingProblem(lazy.cost, problem.clusters, problem.service)
+    on_known = solve_sequence(known, rng())
+    assert on_known.proven, "what is known at the end is bounded as well as it can be"
+    assert lazy.result.lower_bound == pytest.approx(on_known.cost, rel=1e-6)
 
 
 @pytest.mark.parametrize("limits", [{"max_evaluations": 5}, {"stop": lambda: True}])

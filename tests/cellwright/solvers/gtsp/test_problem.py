@@ -112,3 +112,9 @@ def test_the_one_form_prices_tours_as_the_problem_does(fields):
         nodes = form.node[tour]
         nodes = nodes[nodes >= 0]
         assert form.tour_cost(tour) == pytest.approx(problem.cost_of(nodes), abs=1e-9)
+
+
+def test_costs_whose_sums_overflow_are_refused():
+    cost = np.array([[0.0, 1e308], [1e308, 0.0]])
+    with pytest.raises(InvalidInputError, match=r"is 1e\+308, above 1e\+100"):
+        SequencingProblem(cost, ((0,), (1,)))
