@@ -108,12 +108,13 @@ def sequence_tasks(
     Raises:
         InfeasibleError: If no sequence is found whose motions all exist, or torque limits allow no alternative of a
             task; it names the tasks.
-        InvalidInputError: If the end is no configuration of the robot, or what comes before what contradicts itself,
-            or dynamics count and the URDF states no masses or torque limits.
+        InvalidInputError: If bodies come too close at the start, the end is no configuration of the robot, what comes
+            before what contradicts itself, or dynamics count and the URDF states no masses or torque limits.
     """
     import numpy as np
 
     from cellwright.cell.scene import Scene
+    from cellwright.cell.start_check import check_start
     from cellwright.solvers.motion_cost import VelocityCost
     from cellwright.solvers.pose_tasks.route import RouteRules, RouteWork, find_route
     from schemas.cell_objects import build_cell
@@ -126,6 +127,8 @@ def sequence_tasks(
         )
     built, listed_tasks, ways = build_cell(cell), pose_tasks(tasks), alternatives_of(alternatives)
     scene = Scene(built, params.clearance_m)
+    if params.from_start:
+        check_start(scene, params.clearance_m)
     end = None if params.end_rad is None else _checked_end(built, scene, params.end_rad)
     motion_rng, search_rng = np.random.default_rng(params.seed).spawn(2)
     planned = _motion_times(built, scene, ways, end, params, motion_rng)
@@ -192,7 +195,9 @@ def _checked_end(cell: Cell, scene: Scene, end_rad: tuple[float, ...]) -> FloatA
         )
     pair = scene.colliding_pair(q)
     if pair is not None:
-        raise InvalidInputError(f"the end configuration collides: {pair[0]!r} with {pair[1]!r}: correct end_rad")
+        raise InvalidInputError(
+            f"the end configuration brings {pair[0]!r} and {pair[1]!r} closer than their clearance: correct end_rad"
+        )
     return q
 
 

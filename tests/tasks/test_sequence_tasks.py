@@ -307,3 +307,11 @@ def test_the_greatest_acceleration_is_told_and_kept_if_asked_for():
     assert {"joint torque", "joint acceleration of the curve"} <= set(checks)
     with pytest.raises(InfeasibleError, match="acceleration"):
         verify_sequence(small.cell(), small.task_list(), few, free, params=params)
+
+
+def test_a_start_within_the_clearance_is_refused_before_any_search():
+    with pytest.raises(
+        InvalidInputError, match=r"the start configuration brings .* closer than 3000 mm: choose another"
+    ):
+        near = small.request().sequence.model_copy(update={"clearance_m": 3.0})
+        sequence_tasks(small.cell(), small.task_list(), small.alternatives(), params=near)

@@ -218,14 +218,15 @@ def _check_costs(problem: SequencingProblem) -> None:
         a, b = large[0].tolist()
         raise InvalidInputError(
             f"cost from alternative {a} ({problem.names[owner[a]]}) to {b} ({problem.names[owner[b]]}) is "
-            f"{problem.cost[a, b]:g}, above {MOST_COST:g}: sums of such costs lose their digits; give costs in a larger "
-            "unit, or infinity where there is no way"
+            f"{problem.cost[a, b]:g}, above {MOST_COST:g}: sums of such costs lose their digits; give costs in a "
+            "larger unit, or infinity where there is no way"
         )
     bad = np.flatnonzero(~np.isfinite(problem.service) | (problem.service < 0) | (problem.service > MOST_COST))
     if len(bad):
         raise InvalidInputError(
             f"service cost of alternative {bad[0]} ({problem.names[owner[bad[0]]]}) is {problem.service[bad[0]]} "
-            f"({len(bad)} such entries): give costs of at least 0 and at most {MOST_COST:g}, and leave impossible alternatives out"
+            f"({len(bad)} such entries): give costs of at least 0 and at most {MOST_COST:g}, and "
+            "leave impossible alternatives out"
         )
 
 

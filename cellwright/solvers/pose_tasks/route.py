@@ -352,9 +352,9 @@ def _no_way(problem: SequencingProblem, motions: PlannedMotions, tasks: Sequence
     if not cut_off or len(cut_off) == len(problem.clusters):
         return f"no sequence of the {len(tasks)} tasks has a motion for every way: {otherwise}"
     return (
-        f"no collision-free motion was found to {listed([repr(problem.names[row]) for row in cut_off])} from any other "
-        f"task, {len(motions.found)} motions tried: raise roadmap_nodes or max_alternatives, lower clearance_m, give "
-        "more approach_m, or more room around them"
+        f"no collision-free motion was found between {listed([repr(problem.names[row]) for row in cut_off])} and any "
+        f"other place, {len(motions.found)} motions tried: raise roadmap_nodes or max_alternatives, lower "
+        "clearance_m, give more approach_m or more room around them, or choose another start_rad"
     )
 
 
