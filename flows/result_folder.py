@@ -50,13 +50,17 @@ def prepared(folder: Path | None) -> Iterator[None]:
         return
     made = [path for path in (folder, *folder.parents) if not os.path.exists(path)]  # noqa: PTH110  # no error where it may not be looked at
     prepare_folder(folder)
-    try:
+    with contextlib.ExitStack() as undo:
+        undo.callback(_remove_empty, made)
         yield
-    except BaseException:  # an interrupt too
-        with contextlib.suppress(OSError):  # it holds something
-            for path in made:
-                path.rmdir()
-        raise
+        undo.pop_all()
+
+
+def _remove_empty(folders: Iterable[Path]) -> None:
+    """Remove folders, the innermost first, up to the first that holds something."""
+    with contextlib.suppress(OSError):
+        for folder in folders:
+            folder.rmdir()
 
 
 def write_files(

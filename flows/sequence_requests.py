@@ -9,7 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from cellwright.cell.part import METRES_PER_UNIT
 from cellwright.errors import InvalidInputError, listed
-from flows.requests import cell_params
+from flows.cell_params import cell_params
 from schemas.payload import PayloadParams
 from schemas.poses import Pose
 from schemas.sequence_file import SequenceFile, TaskWeightsSection

@@ -70,6 +70,17 @@ def column(
     return dataclasses.field(default=None, kw_only=True, metadata={_KEY: spec})
 
 
+def torque_column(where: str) -> Any:
+    """Declare the torques at the states of a motion, (states, joints), left out ``where`` nothing knows them."""
+    return column(
+        f"Joint torques with what the arm carries, N on slides; left out where {where}",
+        width=ANY_WIDTH,
+        unit="N m",
+        table="states",
+        optional=True,
+    )
+
+
 def fact(meaning: str, *, dtype: str = "float64", unit: str = "", default: Any = dataclasses.MISSING) -> Any:
     """Declare a single value: float, int, bool or str; without ``default`` it must be given."""
     spec = FieldSpec("fact", dtype, None, unit, "", meaning, "", "")

@@ -10,7 +10,7 @@ from typing import ClassVar
 
 from cellwright.arrays import BoolArray, Float32Array, FloatArray, Int8Array, Int32Array, IntArray
 from schemas.artefact import Artefact
-from schemas.columns import ANY_WIDTH, column, fact
+from schemas.columns import ANY_WIDTH, column, fact, torque_column
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -27,13 +27,7 @@ class Trajectory(Artefact):
     position_rad: FloatArray = column("Joint positions", width=ANY_WIDTH, unit="rad", table="states")
     velocity_rad_s: FloatArray = column("Joint velocities", width=ANY_WIDTH, unit="rad/s", table="states")
     acceleration_rad_s2: FloatArray = column("Joint accelerations", width=ANY_WIDTH, unit="rad/s^2", table="states")
-    torque_nm: FloatArray = column(
-        "Joint torques with what the arm carries, N on slides; left out where dynamics do not count",
-        width=ANY_WIDTH,
-        unit="N m",
-        table="states",
-        optional=True,
-    )
+    torque_nm: FloatArray = torque_column("dynamics do not count")
     segment: Int32Array = column("Segment that the state belongs to", dtype="int32", table="states")
     travel_m: FloatArray = column("Travel along the sweep; NaN on a connection", unit="m", table="states")
     kind: tuple[str, ...] = column("sweep or connection", dtype="str", table="segments")

@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 
 from cellwright.arrays import BoolArray, FloatArray, Int8Array, Int32Array
 from schemas.artefact import Artefact
-from schemas.columns import ANY_WIDTH, blob, column, fact
+from schemas.columns import ANY_WIDTH, blob, column, fact, torque_column
 
 MOTION_COLUMNS = (
     "time_s", "position_rad", "velocity_rad_s", "acceleration_rad_s2", "torque_nm", "segment", "travel_m", "kind",
@@ -41,13 +41,7 @@ class SweepSequence(Artefact):
     position_rad: FloatArray = column("Joint positions", width=ANY_WIDTH, unit="rad", table="states")
     velocity_rad_s: FloatArray = column("Joint velocities", width=ANY_WIDTH, unit="rad/s", table="states")
     acceleration_rad_s2: FloatArray = column("Joint accelerations", width=ANY_WIDTH, unit="rad/s^2", table="states")
-    torque_nm: FloatArray = column(
-        "Joint torques with what the arm carries, N on slides; left out where only time counts",
-        width=ANY_WIDTH,
-        unit="N m",
-        table="states",
-        optional=True,
-    )
+    torque_nm: FloatArray = torque_column("only time counts")
     segment: Int32Array = column("Segment that the state belongs to", dtype="int32", table="states")
     travel_m: FloatArray = column("Travel along the sweep; NaN on a connection", unit="m", table="states")
     kind: tuple[str, ...] = column("sweep or connection", dtype="str", table="segments")

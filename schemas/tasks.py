@@ -8,7 +8,7 @@ from typing import ClassVar
 
 from cellwright.arrays import FloatArray, Int8Array, Int32Array
 from schemas.artefact import Artefact
-from schemas.columns import ANY_WIDTH, blob, column, fact
+from schemas.columns import ANY_WIDTH, blob, column, fact, torque_column
 
 MOST_TASKS = 2000
 """More than the search can order to some purpose."""
@@ -67,13 +67,7 @@ class TaskSequence(Artefact):
     position_rad: FloatArray = column("Joint positions", width=ANY_WIDTH, unit="rad", table="states")
     velocity_rad_s: FloatArray = column("Joint velocities", width=ANY_WIDTH, unit="rad/s", table="states")
     acceleration_rad_s2: FloatArray = column("Joint accelerations", width=ANY_WIDTH, unit="rad/s^2", table="states")
-    torque_nm: FloatArray = column(
-        "Joint torques with what the arm carries, N on slides; left out where dynamics do not count",
-        width=ANY_WIDTH,
-        unit="N m",
-        table="states",
-        optional=True,
-    )
+    torque_nm: FloatArray = torque_column("dynamics do not count")
     segment: Int32Array = column("Segment that the state belongs to", dtype="int32", table="states")
     kind: tuple[str, ...] = column("motion, or work: stroke, dwell and stroke", dtype="str", table="segments")
     stop: Int32Array = column("Stop of the work; -1 on a motion", dtype="int32", table="segments")

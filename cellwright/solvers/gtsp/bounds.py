@@ -217,7 +217,7 @@ def remember_nearest(problem: Bounding, n_bits: int) -> None:
     ranked = np.argsort(there_and_back, axis=1, kind="stable")
     for i, memory in enumerate(problem.memory):
         near = (int(j) for j in ranked[i] if np.isfinite(there_and_back[i, j]))
-        memory += [j for j in near if j not in memory][: max(0, n_bits - len(memory))]
+        memory += [j for j in near if j not in memory][: max(0, _room(problem, n_bits) - len(memory))]
 
 
 def remember_cycles(problem: Bounding, n_bits: int) -> bool:
@@ -225,7 +225,7 @@ def remember_cycles(problem: Bounding, n_bits: int) -> bool:
 
     Such a walk is impossible then, and the bound can rise (Roberti and Mingozzi 2014, dynamic ng-path relaxation).
     """
-    room = min(n_bits, int(np.log2(max(1.0, MOST_BYTES / (8.0 * (problem.n_clusters + 1) * len(problem.node))))))
+    room = _room(problem, n_bits)
     last: dict[int, int] = {}
     order = problem.walk.tolist()
     learnt = False
@@ -237,6 +237,12 @@ def remember_cycles(problem: Bounding, n_bits: int) -> bool:
                 learnt = True
         last[cluster] = place
     return learnt
+
+
+def _room(problem: Bounding, n_bits: int) -> int:
+    """Return how many of ``n_bits`` a cluster may remember, so that a table of rests takes `MOST_BYTES` at most."""
+    states = 8.0 * (problem.n_clusters + 1) * len(problem.node)
+    return min(n_bits, int(np.log2(max(1.0, MOST_BYTES / states))))
 
 
 def shrink(problem: Bounding, ceiling: float) -> bool:

@@ -41,8 +41,8 @@ AGAIN = 0.5
 """Share of the gap that must be left at most, after a better tour, for the same stage to be worth another run."""
 STEP_LENGTHS = (0.5, 0.9, 0.03)
 """Length of the steps after memories have grown, what it shrinks by each time, and the least."""
-PATIENCE = 4
-"""Steps without a better bound after which they get shorter, once memories have begun to grow."""
+FIRST_PATIENCE, PATIENCE = 6, 4
+"""Steps without a better bound after which they get shorter: without memories, and once these have begun to grow."""
 AT_ONCE = 2
 """Depot nodes that are worked on at once, always: with another number of threads the same happens."""
 DEPOT_STEPS = 20
@@ -200,29 +200,15 @@ def _stage_of(
 
 def _tighten(form: TourForm, problem: Bounding, depot: int | None, proof: Proof, stage: int, limits: _Limits) -> bool:
     """Go through one stage of bounding and dynamic programming; return whether the problem is still open."""
-    n_nearest, n_bits, n_rounds, n_steps, most = STAGES[stage]
-    remember_nearest(problem, n_nearest)
-    for number in range(n_rounds):
-        learnt = remember_cycles(problem, n_bits)
-        if number and not learnt:
-            break
-        first, factor, least = STEP_LENGTHS
-        length = 1.0 if stage == 0 else max(least, first * factor**problem.n_rounds)
-        problem.n_rounds += stage > 0
-        dear = float(problem.n_clusters) * len(problem.node) ** 2 * problem.n_masks
-        few = max(1, min(n_steps, int((limits.work - proof.work) / dear)))
-        raise_bound(
-            problem, proof.cost, form.below(proof.cost), few, limits.stop, length=length,
-            patience=PATIENCE if stage else 6,
-        )  # fmt: skip
-        if problem.bound >= form.below(proof.cost) or problem.tour is not None or limits.over():
-            break
+    most = STAGES[stage][-1]
+    _raise_with_memory(form, problem, proof, stage, limits)
     if depot is not None:
         _take_tour(form, problem, depot, proof)
     problem.tour = None
     if problem.bound >= form.below(proof.cost):
         return False
     # shrinking takes three more walks: only where there is work left for what it makes possible
+    dear = _work_of_a_walk(problem)
     if limits.spent((problem.work if depot is None else proof.work) + 3.0 * dear):
         return True
     if not shrink(problem, form.below(proof.cost)):
@@ -240,6 +226,29 @@ def _tighten(form: TourForm, problem: Bounding, depot: int | None, proof: Proof,
             return problem.bound < form.below(proof.cost)
         if proof.cost - problem.bound > AGAIN * (cost - problem.bound):
             return True
+
+
+def _raise_with_memory(form: TourForm, problem: Bounding, proof: Proof, stage: int, limits: _Limits) -> None:
+    """Raise the bound in a stage's rounds, each with more memory than the one before, while there is more to learn."""
+    n_nearest, n_bits, n_rounds, n_steps, _ = STAGES[stage]
+    remember_nearest(problem, n_nearest)
+    for number in range(n_rounds):
+        if not remember_cycles(problem, n_bits) and number:
+            break
+        first, factor, least = STEP_LENGTHS
+        length, patience = 1.0, FIRST_PATIENCE
+        if stage:
+            length, patience = max(least, first * factor**problem.n_rounds), PATIENCE
+            problem.n_rounds += 1
+        few = max(1, min(n_steps, int((limits.work - proof.work) / _work_of_a_walk(problem))))
+        ceiling = form.below(proof.cost)
+        raise_bound(problem, proof.cost, ceiling, few, limits.stop, length=length, patience=patience)
+        if problem.bound >= ceiling or problem.tour is not None or limits.over():
+            break
+
+
+def _work_of_a_walk(problem: Bounding) -> float:
+    return float(problem.n_clusters) * len(problem.node) ** 2 * problem.n_masks
 
 
 def _take_tour(form: TourForm, problem: Bounding, depot: int, proof: Proof) -> None:

@@ -29,7 +29,7 @@ TSPLIB_PI = 3.141592
 
 
 MOST_NUMBER = 1e15
-"""Greatest coordinate or weight: distances and sums of such numbers keep their whole digits' sense."""
+"""Greatest coordinate or weight: sums of greater ones no longer tell whole numbers apart."""
 
 
 @dataclass(frozen=True)

@@ -136,6 +136,17 @@ def test_memories_learn_from_cycles_until_the_bound_has_risen(seed):
     assert before + 1e-6 * upper < relaxed.bound <= upper * (1.0 + 1e-9)
 
 
+def test_memories_stay_within_the_bytes_of_their_tables(monkeypatch):
+    form = tour_form(robot_problem(0, [4] * 10, closed=False)[0])
+    relaxed = bounding(form, np.array([0], np.int32))
+    raise_bound(relaxed, 1e4, np.inf, 5)
+    a_table = 8 * (relaxed.n_clusters + 1) * len(relaxed.node)
+    monkeypatch.setattr("cellwright.solvers.gtsp.bounds.MOST_BYTES", 4 * a_table)
+    remember_nearest(relaxed, 6)
+    assert not remember_cycles(relaxed, 6)
+    assert relaxed.n_masks == 4 and Walks(relaxed).rest.nbytes <= 4 * a_table
+
+
 @given(seed=st.integers(0, 2**32 - 1), kind=st.sampled_from(KINDS))
 @settings(max_examples=30, deadline=None)
 def test_a_proof_until_something_cheaper_finds_that_or_is_a_whole_one(seed, kind):
